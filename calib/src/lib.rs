@@ -1,0 +1,1 @@
+//! Boards, tags, intrinsics and pose through OpenCV.

@@ -1,0 +1,111 @@
+//! A picture in memory: row-major, top-left first.
+
+use std::ops::{Index, IndexMut};
+
+/// A `width` × `height` picture, row-major, top-left pixel first.
+///
+/// # Guarantees
+/// `pixels().len() == width * height`; both sides may be zero.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Image<T> {
+    width: usize,
+    height: usize,
+    pixels: Vec<T>,
+}
+
+impl<T: Clone> Image<T> {
+    /// A picture of one value.
+    pub fn filled(width: usize, height: usize, value: T) -> Self {
+        Self { width, height, pixels: vec![value; width * height] }
+    }
+}
+
+impl<T> Image<T> {
+    /// Takes row-major pixels; `None` if their number is not `width * height`.
+    pub fn from_pixels(width: usize, height: usize, pixels: Vec<T>) -> Option<Self> {
+        (width.checked_mul(height)? == pixels.len()).then_some(Self { width, height, pixels })
+    }
+
+    /// A picture whose pixel (x, y) is `value(x, y)`.
+    pub fn from_fn(width: usize, height: usize, mut value: impl FnMut(usize, usize) -> T) -> Self {
+        let mut pixels = Vec::with_capacity(width * height);
+        for y in 0..height {
+            for x in 0..width {
+                pixels.push(value(x, y));
+            }
+        }
+        Self { width, height, pixels }
+    }
+
+    pub fn width(&self) -> usize {
+        self.width
+    }
+
+    pub fn height(&self) -> usize {
+        self.height
+    }
+
+    /// All pixels, row-major.
+    pub fn pixels(&self) -> &[T] {
+        &self.pixels
+    }
+
+    /// All pixels, row-major.
+    pub fn pixels_mut(&mut self) -> &mut [T] {
+        &mut self.pixels
+    }
+
+    /// The pixels of row `y`, left to right. Panics outside the picture.
+    pub fn row(&self, y: usize) -> &[T] {
+        &self.pixels[y * self.width..(y + 1) * self.width]
+    }
+
+    /// The pixel at column `x`, row `y`, or `None` outside the picture.
+    pub fn get(&self, x: usize, y: usize) -> Option<&T> {
+        if x < self.width { self.pixels.get(y * self.width + x) } else { None }
+    }
+
+    /// The picture of `f` of each pixel.
+    pub fn map<U>(&self, f: impl FnMut(&T) -> U) -> Image<U> {
+        Image {
+            width: self.width,
+            height: self.height,
+            pixels: self.pixels.iter().map(f).collect(),
+        }
+    }
+}
+
+/// `image[(x, y)]`: column, row. Panics outside the picture.
+impl<T> Index<(usize, usize)> for Image<T> {
+    type Output = T;
+    fn index(&self, (x, y): (usize, usize)) -> &T {
+        assert!(x < self.width, "column {x} of a picture {} wide", self.width);
+        &self.pixels[y * self.width + x]
+    }
+}
+
+impl<T> IndexMut<(usize, usize)> for Image<T> {
+    fn index_mut(&mut self, (x, y): (usize, usize)) -> &mut T {
+        assert!(x < self.width, "column {x} of a picture {} wide", self.width);
+        &mut self.pixels[y * self.width + x]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn wrong_pixel_count_is_no_image() {
+        assert!(Image::from_pixels(3, 2, vec![0; 5]).is_none());
+        assert!(Image::from_pixels(usize::MAX, 2, vec![0; 6]).is_none());
+    }
+
+    #[test]
+    fn index_is_column_then_row() {
+        let image = Image::from_fn(3, 2, |x, y| 10 * y + x);
+        assert_eq!(image[(2, 1)], 12);
+        assert_eq!(image.row(1), &[10, 11, 12]);
+        assert_eq!(image.get(3, 0), None);
+    }
+}

@@ -1,0 +1,96 @@
+//! The difference the objects make, path-traced in two worlds at once.
+//!
+//! [`Scene`](crate::scene::Scene) + `Lights` + [`Camera`](crate::camera::Camera) + plate →
+//! [`Difference`], through an [`Integrator`] in waves. This room never writes a picture.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use crate::conventions::Rgb;
+use crate::photo::Image;
+
+/// What every long computation is given: seed and cancellation. Threads are rayon's current pool.
+#[derive(Clone, Debug, Default)]
+pub struct Context {
+    /// Same input and seed: same bytes, whatever the number of threads.
+    pub seed: u64,
+    cancelled: Arc<AtomicBool>,
+}
+
+impl Context {
+    pub fn new(seed: u64) -> Self {
+        Self { seed, ..Self::default() }
+    }
+
+    /// Asks every computation that shares this context to stop soon.
+    pub fn cancel(&self) {
+        self.cancelled.store(true, Ordering::Relaxed);
+    }
+
+    pub fn is_cancelled(&self) -> bool {
+        self.cancelled.load(Ordering::Relaxed)
+    }
+}
+
+/// What the objects change, per pixel of the plate, in the plate's own linear scale.
+///
+/// Every camera sample either meets an object first (*object sample*) or not (*background sample*).
+/// With N samples in a pixel and plate value P the finished pixel is
+/// `object + (1 − coverage) · P + difference` (additive) or
+/// `object + (1 − coverage) · P + ratio · P` (ratio mode, diffuse local surfaces).
+/// All four are exactly zero where no sample met anything of the objects.
+#[derive(Clone, Debug)]
+pub struct Difference {
+    /// Share of the samples that met an object first: alpha, 0…1.
+    pub coverage: Image<f32>,
+    /// Radiance of the object samples, summed over them and divided by N (premultiplied).
+    pub object: Image<Rgb>,
+    /// (with − without) of the background samples, summed and divided by N. Signed.
+    pub difference: Image<Rgb>,
+    /// ΔE/E₀ of the background samples on diffuse local surfaces, summed and divided by N. Signed.
+    pub ratio: Image<Rgb>,
+    /// Standard error of `object + difference`, per channel, from independent replicates.
+    pub stderr: Image<Rgb>,
+    /// Diffuse albedo of the local surface as solved from the plate, 0 where none is seen.
+    pub albedo: Image<Rgb>,
+    /// Plane distance along the view axis of the first thing seen *with* the objects, metres; +∞ for none. Not filtered.
+    pub depth: Image<f32>,
+    /// World normal of the first thing seen *with* the objects, zero for none. Not filtered.
+    pub normal: Image<glam::Vec3>,
+    /// Camera samples taken; 0 where the influence bound proved that nothing can be seen.
+    pub samples: Image<u32>,
+}
+
+/// What one wave did.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Wave {
+    /// Camera samples taken in this wave.
+    pub samples: u64,
+    /// Share of the work toward the stopping rule that is done, 0…1.
+    pub done: f64,
+    /// True when the stopping rule is met.
+    pub finished: bool,
+    /// Error over the influence region reached so far, relative to the plate.
+    pub error: f64,
+}
+
+/// When to stop.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Stop {
+    /// Standard error relative to the plate, root mean square over the influence region.
+    Error(f64),
+    /// CPU-independent wall seconds.
+    TimeSeconds(f64),
+    /// Camera samples in every influenced pixel.
+    Samples(u32),
+}
+
+/// A method that estimates the difference wave by wave.
+///
+/// The CLI, the progress bar and the stopping rule use nothing else.
+pub trait Integrator {
+    /// Takes more samples. Returns early, with what it has, when the context is cancelled.
+    fn next_wave(&mut self, context: &Context) -> Wave;
+    /// The difference as known after the waves so far.
+    fn snapshot(&self) -> Difference;
+}
