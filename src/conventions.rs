@@ -37,11 +37,7 @@ pub const SUN_HALF_ANGLE_RAD: f64 = 0.266_5 * PI / 180.0;
 pub fn lat_long_direction(pixel: DVec2, width: usize, height: usize) -> DVec3 {
     let longitude = (0.5 - (pixel.x + 0.5) / width as f64) * 2.0 * PI;
     let latitude = (0.5 - (pixel.y + 0.5) / height as f64) * PI;
-    DVec3::new(
-        longitude.sin() * latitude.cos(),
-        latitude.sin(),
-        longitude.cos() * latitude.cos(),
-    )
+    DVec3::new(longitude.sin() * latitude.cos(), latitude.sin(), longitude.cos() * latitude.cos())
 }
 
 /// Point of a `width` × `height` lat-long picture that shows `direction` (any length but zero).

@@ -16,16 +16,16 @@
 //! - [`shot`]: shot.toml → plan → run
 //! - [`cli`]: one file a command
 
-pub mod conventions;
-pub mod photo;
 pub mod bracket;
 pub mod camera;
-pub mod probe;
-pub mod scene;
-pub mod trace;
-pub mod light;
-pub mod render;
-pub mod composite;
-pub mod report;
-pub mod shot;
 pub mod cli;
+pub mod composite;
+pub mod conventions;
+pub mod light;
+pub mod photo;
+pub mod probe;
+pub mod render;
+pub mod report;
+pub mod scene;
+pub mod shot;
+pub mod trace;

@@ -1,1 +1,149 @@
 //! The command line: one file a command.
+//!
+//! arguments → a call into [`shot`](crate::shot) or one stage → an [`Outcome`] → the exit code.
+//! A command is a file here with `Args`, `run(&Args, &Global)`, and one line in each of the two
+//! lists below. Results go to stdout, everything said to a person on the way to stderr.
+//! This room computes nothing.
+
+mod error;
+mod progress;
+
+pub use error::CliError;
+pub use progress::progress_bar;
+
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+use serde::Serialize;
+
+use crate::render::Context;
+
+/// Put CG objects into photographs, and be told how right the result is.
+#[derive(Debug, Parser)]
+#[command(
+    name = "platelight",
+    version,
+    propagate_version = true,
+    arg_required_else_help = true,
+    after_help = "Example:\n  platelight check shots/robot\n  platelight run shots/robot --out renders/robot\n\n\
+                  Exit codes: 0 done, 1 part of a batch failed, 2 the request was wrong (nothing written), \
+                  130 interrupted."
+)]
+struct Cli {
+    #[command(flatten)]
+    global: Global,
+    #[command(subcommand)]
+    command: Command,
+}
+
+/// What every command understands.
+#[derive(Clone, Debug, clap::Args)]
+pub struct Global {
+    /// Threads to use; the result does not depend on it [default: all cores]
+    #[arg(long, global = true, value_name = "N", help_heading = "Everywhere")]
+    pub threads: Option<usize>,
+    /// Seed of all random numbers: same input and seed, same bytes
+    #[arg(long, global = true, value_name = "N", default_value_t = 0, help_heading = "Everywhere")]
+    pub seed: u64,
+    /// Print the result as JSON on stdout
+    #[arg(long, global = true, help_heading = "Everywhere")]
+    pub json: bool,
+    /// Say nothing but errors
+    #[arg(long, short, global = true, help_heading = "Everywhere")]
+    pub quiet: bool,
+}
+
+impl Global {
+    /// What long computations are given.
+    pub fn context(&self) -> Context {
+        Context::new(self.seed)
+    }
+
+    /// Prints a command's result on stdout: as JSON if that was asked for, else as `text`.
+    pub fn print(&self, value: &impl Serialize, text: impl FnOnce() -> String) {
+        if self.json {
+            // Serialising plain structs to memory fails only for maps with keys that are no strings.
+            let json = serde_json::to_string_pretty(value)
+                .unwrap_or_else(|e| serde_json::json!({ "errors": [e.to_string()] }).to_string());
+            println!("{json}");
+        } else if !self.quiet {
+            println!("{}", text());
+        }
+    }
+
+    /// Says something on the way, on stderr, unless quiet.
+    pub fn say(&self, message: &str) {
+        if !self.quiet {
+            eprintln!("{message}");
+        }
+    }
+
+    /// Says a warning on stderr, also when quiet was not asked for in so many words.
+    pub fn warn(&self, message: &str) {
+        self.say(&format!("warning: {message}"));
+    }
+}
+
+/// The commands; each has its file.
+#[derive(Debug, Subcommand)]
+enum Command {}
+
+/// Runs the command with its arguments.
+fn dispatch(command: &Command, global: &Global) -> Result<Outcome, CliError> {
+    match *command {}
+}
+
+/// How a command ended, when it was not an error.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Outcome {
+    Done,
+    /// Some shots or frames of several failed; the others were written.
+    PartFailed,
+    /// Stopped by the user; what was finished before is there.
+    Interrupted,
+}
+
+impl Outcome {
+    fn code(self) -> u8 {
+        match self {
+            Self::Done => 0,
+            Self::PartFailed => 1,
+            Self::Interrupted => 130,
+        }
+    }
+}
+
+/// Parses the arguments, runs the command in a pool of `--threads`, and prints what went wrong.
+pub fn main() -> ExitCode {
+    let Cli { global, command } = Cli::parse();
+    let outcome = in_pool(&global, || dispatch(&command, &global));
+    match outcome {
+        Ok(outcome) => ExitCode::from(outcome.code()),
+        Err(error) => {
+            error.print(global.json);
+            ExitCode::from(CliError::CODE)
+        }
+    }
+}
+
+/// Runs `work` where rayon uses the threads that were asked for.
+fn in_pool<T: Send>(
+    global: &Global,
+    work: impl FnOnce() -> Result<T, CliError> + Send,
+) -> Result<T, CliError> {
+    let threads = match global.threads {
+        Some(0) => {
+            return Err(CliError::wrong("--threads: 0 threads can do no work; give 1 or more"));
+        }
+        Some(n) => n,
+        // rayon's own default: RAYON_NUM_THREADS or all cores.
+        None => 0,
+    };
+    let pool = rayon::ThreadPoolBuilder::new()
+        .num_threads(threads)
+        // Readers and builders of trees recurse; 8 MB is what a program's first thread has.
+        .stack_size(8 << 20)
+        .build()
+        .map_err(|e| CliError::wrong(format!("--threads: {e}; ask for fewer threads")))?;
+    pool.install(work)
+}

@@ -94,9 +94,21 @@ pub enum EncodingSource {
 /// A file's own samples: interleaved channels, row-major, upright.
 #[derive(Clone, Debug)]
 pub enum Samples {
-    U8 { channels: usize, data: Vec<u8> },
-    U16 { channels: usize, data: Vec<u16> },
+    U8 {
+        channels: usize,
+        data: Vec<u8>,
+    },
+    U16 {
+        channels: usize,
+        data: Vec<u16>,
+    },
     /// Half floats as in EXR, `channels` interleaved in the order R G B (A).
-    F16 { channels: usize, data: Vec<half::f16> },
-    F32 { channels: usize, data: Vec<f32> },
+    F16 {
+        channels: usize,
+        data: Vec<half::f16>,
+    },
+    F32 {
+        channels: usize,
+        data: Vec<f32>,
+    },
 }
