@@ -4,10 +4,12 @@
 //! This room never detects anything in a picture (that is `calib/`) and never warps one.
 
 pub mod lens;
+pub mod pose;
 
 pub use lens::{Distortion, Lens};
+pub use pose::Pose;
 
-use glam::DAffine3;
+use glam::{DVec2, DVec3};
 
 /// A camera: picture size, lens, place, and the covariances of both.
 #[derive(Clone, Debug, PartialEq)]
@@ -18,11 +20,55 @@ pub struct Camera {
     pub pose: Pose,
 }
 
-/// Where a camera stands: rigid, camera axes (−Z forward, +Y up) to world.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Pose {
-    pub world_from_camera: DAffine3,
-    /// Covariance of (rotation vector in camera axes, rad; camera position in world, m), row-major.
-    /// `None` when nobody measured it.
-    pub covariance: Option<[[f64; 6]; 6]>,
+impl Camera {
+    /// Origin (m) and direction (unit), in the world, of the ray seen at `pixel`.
+    ///
+    /// `None` outside the lens model's field.
+    pub fn ray(&self, pixel: DVec2) -> Option<(DVec3, DVec3)> {
+        let direction = self.lens.unproject(pixel)?;
+        Some((self.pose.position(), self.pose.rotation() * direction))
+    }
+
+    /// Pixel at which a world point is seen; `None` where the lens does not see it.
+    ///
+    /// The pixel may lie outside the picture: compare with `width` and `height`.
+    pub fn project_world(&self, point: DVec3) -> Option<DVec2> {
+        self.lens.project(self.pose.inverse().transform_point3(point))
+    }
+
+    /// The camera of a cut-out of `scale` × this frame whose pixel (0, 0) lies at (`x`, `y`) there.
+    pub fn cropped(&self, x: f64, y: f64, scale: f64, width: usize, height: usize) -> Self {
+        let (lens, pose) = (self.lens.cropped(x, y, scale), self.pose.clone());
+        Self { width, height, lens, pose }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ray_passes_through_the_point_it_shows() {
+        let eye = DVec3::new(0.3, 1.5, 2.0);
+        let camera = Camera {
+            width: 960,
+            height: 640,
+            lens: Lens {
+                distortion: Distortion::BrownConrady {
+                    k1: -0.1,
+                    k2: 0.03,
+                    p1: 6e-4,
+                    p2: -4e-4,
+                    k3: 0.0,
+                },
+                ..Lens::pinhole(940.0, 960, 640)
+            },
+            pose: Pose::look_at(eye, DVec3::ZERO, DVec3::Y).unwrap(),
+        };
+        let point = DVec3::new(0.2, 0.1, -0.3);
+        let (origin, direction) = camera.ray(camera.project_world(point).unwrap()).unwrap();
+        let miss = (point - origin).cross(direction).length();
+        assert!(miss < 1e-11, "misses by {miss} m");
+        assert!((point - origin).dot(direction) > 0.0);
+    }
 }
