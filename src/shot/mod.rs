@@ -1,3 +1,11 @@
 //! shot.toml → plan → run, for one shot or a folder of shots.
 //!
 //! folder → folder. Everything that can be wrong is found in the plan, before any work.
+
+pub mod camera_keys;
+pub mod file;
+pub mod frames;
+pub mod keys;
+pub mod probe_keys;
+
+pub use file::{ShotFile, ShotFileError};

@@ -1,0 +1,496 @@
+//! shot.toml: what is in the shot, as the user wrote it, with defaults filled in.
+//!
+//! [`ShotFile::read`] finds all problems of the text at once; whether the named files exist and fit
+//! is the plan's question. Paths are made relative to the shot file here and nowhere else. The
+//! format is described key by key in `docs/shot.md`; [`Serialize`] gives the effective settings.
+
+use std::path::{Path, PathBuf};
+
+use serde::Serialize;
+use toml::de::DeTable;
+
+use super::camera_keys::{CameraKeys, ExposureKeys, PoseSource};
+use super::frames::Frames;
+use super::keys::{Keys, Problems};
+use super::probe_keys::{Lamp, ProbeKeys, Surroundings};
+
+/// The whole shot file.
+#[derive(Clone, Debug, Serialize)]
+pub struct ShotFile {
+    /// The file itself.
+    pub path: PathBuf,
+    pub plate: PlateKeys,
+    pub camera: CameraKeys,
+    pub pose: PoseSource,
+    pub probe: ProbeKeys,
+    pub surroundings: Option<Surroundings>,
+    pub lamps: Vec<Lamp>,
+    pub support: Support,
+    pub local: Vec<Local>,
+    pub objects: Vec<Object>,
+    pub render: Render,
+    pub composite: CompositeKeys,
+    pub output: Output,
+}
+
+/// `[plate]`: the photograph the objects go into.
+#[derive(Clone, Debug, Serialize)]
+pub struct PlateKeys {
+    /// A picture, or with `frames` a pattern such as `plate.####.exr`.
+    pub file: PathBuf,
+    pub frames: Option<Frames>,
+    /// A named colour space; `None` is "auto".
+    pub colour: Option<String>,
+    pub exposure: ExposureKeys,
+    /// Plate value = this × the probe's radiance, where exposures are not known.
+    pub relative_exposure: Option<f64>,
+}
+
+/// `[support]`: the surface the objects stand on.
+#[derive(Clone, Debug, Serialize)]
+pub struct Support {
+    pub shape: SupportShape,
+    pub albedo: Albedo,
+}
+
+#[derive(Clone, Debug, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum SupportShape {
+    /// A rectangle: metres along its two sides, its centre, the way its top looks.
+    Plane {
+        size: [f64; 2],
+        at: [f64; 3],
+        normal: [f64; 3],
+    },
+    Mesh(PathBuf),
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Albedo {
+    /// Solved from plate and light.
+    Plate,
+    /// The mesh file's own material.
+    Mesh,
+    Constant([f64; 3]),
+}
+
+/// `[[local]]`: another real thing.
+#[derive(Clone, Debug, Serialize)]
+pub struct Local {
+    pub file: PathBuf,
+    pub holdout: bool,
+}
+
+/// `[[object]]`: a thing to insert.
+#[derive(Clone, Debug, Serialize)]
+pub struct Object {
+    pub file: PathBuf,
+    /// Metres.
+    pub at: [f64; 3],
+    /// Degrees about the world's X, then Y, then Z.
+    pub rotate: [f64; 3],
+    pub scale: f64,
+}
+
+/// `[render]`: when to stop and how to work.
+#[derive(Clone, Debug, Serialize)]
+pub struct Render {
+    pub stop: StopKeys,
+    /// "auto" or a method's name.
+    pub method: String,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum StopKeys {
+    Error(f64),
+    /// Seconds.
+    Time(f64),
+    Samples(u32),
+}
+
+/// `[composite]`
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct CompositeKeys {
+    pub mode: ModeKeys,
+    pub grain: Grain,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum ModeKeys {
+    Auto,
+    Additive,
+    Ratio,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Grain {
+    None,
+    Match,
+}
+
+/// `[output]`
+#[derive(Clone, Debug, Serialize)]
+pub struct Output {
+    /// Names of the layers to write beside the main picture; `None` is "all".
+    pub layers: Option<Vec<String>>,
+}
+
+/// What is wrong with a shot file: every problem found, together.
+#[derive(Debug, thiserror::Error)]
+pub enum ShotFileError {
+    #[error("{path}: {cause}; name a shot.toml or the folder that holds one")]
+    Unreadable { path: PathBuf, cause: String },
+    #[error("{}", .0.join("\n"))]
+    Problems(Vec<String>),
+}
+
+impl ShotFile {
+    /// Reads a shot file, or the `shot.toml` of a folder.
+    pub fn read(path: &Path) -> Result<Self, ShotFileError> {
+        let path = if path.is_dir() { path.join("shot.toml") } else { path.to_owned() };
+        let unreadable = |cause: String| ShotFileError::Unreadable { path: path.clone(), cause };
+        let size = std::fs::metadata(&path).map_err(|e| unreadable(e.to_string()))?.len();
+        if size > MAX_BYTES {
+            return Err(unreadable(format!(
+                "is {size} bytes; a shot file has at most {MAX_BYTES}"
+            )));
+        }
+        let text = std::fs::read_to_string(&path).map_err(|e| unreadable(e.to_string()))?;
+        Self::parse(&path, &text)
+    }
+
+    /// Reads the text of a shot file that lies at `path`.
+    pub fn parse(path: &Path, text: &str) -> Result<Self, ShotFileError> {
+        let problems = Problems::new(path, text);
+        let (table, syntax) = DeTable::parse_recoverable(text);
+        for error in &syntax {
+            problems.note(error.span().map_or(0, |span| span.start), error.message());
+        }
+        if !syntax.is_empty() {
+            return Err(ShotFileError::Problems(problems.into_sentences()));
+        }
+        let folder = path.parent().unwrap_or(Path::new(""));
+        let shot = read_root(&Keys::root(&problems, table.get_ref(), ROOT), path, folder);
+        match (shot, problems.into_sentences()) {
+            (Some(shot), problems) if problems.is_empty() => Ok(shot),
+            (_, problems) => Err(ShotFileError::Problems(problems)),
+        }
+    }
+
+    /// The folder all paths of the shot are relative to.
+    pub fn folder(&self) -> &Path {
+        self.path.parent().unwrap_or(Path::new(""))
+    }
+}
+
+/// A text larger than this is no shot file.
+const MAX_BYTES: u64 = 1 << 20;
+
+const ROOT: &[&str] = &[
+    "plate",
+    "camera",
+    "pose",
+    "probe",
+    "surroundings",
+    "lamp",
+    "support",
+    "local",
+    "object",
+    "render",
+    "composite",
+    "output",
+];
+
+/// Reads every section, so that the problems of all are noted, before it asks whether all are there.
+fn read_root(root: &Keys, path: &Path, folder: &Path) -> Option<ShotFile> {
+    let section = |key, known, remedy| root.need(key, root.table(key, known), remedy);
+    let plate = section("plate", PLATE, "add [plate] with file = \"plate.png\"")
+        .and_then(|keys| read_plate(&keys, folder));
+    let camera = section("camera", CameraKeys::KEYS, "add [camera] with boards, file or focal_mm")
+        .and_then(|keys| CameraKeys::read(&keys, folder));
+    let pose = section("pose", PoseSource::KEYS, "add [pose] with tag, board, rectangle or file")
+        .and_then(|keys| PoseSource::read(&keys, folder));
+    let probe = section("probe", ProbeKeys::KEYS, "add [probe] with ball, fisheye or panorama")
+        .and_then(|keys| ProbeKeys::read(&keys, folder));
+    let surroundings = root
+        .table("surroundings", Surroundings::KEYS)
+        .and_then(|keys| Surroundings::read(&keys, folder));
+    let lamps = root.tables("lamp", Lamp::KEYS);
+    let lamps = lamps.iter().filter_map(Lamp::read).collect();
+    let support = section("support", SUPPORT, "add [support] with plane = { size = [3.0, 3.0] }")
+        .and_then(|keys| read_support(&keys, folder));
+    let local = root.tables("local", &["file", "holdout"]);
+    let local = local.iter().filter_map(|keys| read_local(keys, folder)).collect();
+    let objects = root.tables("object", &["file", "at", "rotate", "scale"]);
+    let objects = objects.iter().filter_map(|keys| read_object(keys, folder)).collect();
+    let render = root.table("render", RENDER).map_or_else(
+        || Some(Render { stop: StopKeys::Error(DEFAULT_ERROR), method: "auto".to_owned() }),
+        |keys| read_render(&keys),
+    );
+    let composite = read_composite(root.table("composite", &["mode", "grain"]).as_ref());
+    let layers = root.table("output", &["layers"]).and_then(|keys| read_layers(&keys));
+    Some(ShotFile {
+        path: path.to_owned(),
+        plate: plate?,
+        camera: camera?,
+        pose: pose?,
+        probe: probe?,
+        surroundings,
+        lamps,
+        support: support?,
+        local,
+        objects,
+        render: render?,
+        composite,
+        output: Output { layers },
+    })
+}
+
+const PLATE: &[&str] = &["file", "frames", "colour", "exposure", "relative_exposure"];
+
+fn read_plate(keys: &Keys, folder: &Path) -> Option<PlateKeys> {
+    let file = keys.need("file", keys.text("file"), "name the photograph");
+    let frames = keys.text("frames").and_then(|text| match Frames::parse(text) {
+        Ok(frames) => Some(frames),
+        Err(cause) => {
+            keys.problem("frames", &cause);
+            None
+        }
+    });
+    if let Some(file) = file {
+        match (super::frames::has_pattern(file), keys.has("frames")) {
+            (true, false) => keys.problem(
+                "file",
+                "is a pattern of numbered frames; add frames = \"1001-1048\" beside it",
+            ),
+            (false, true) => keys
+                .problem("frames", "is given, but file has no #### to put the frame's number in"),
+            _ => {}
+        }
+    }
+    let exposure = ExposureKeys::read(keys, "exposure");
+    let relative_exposure = keys.positive("relative_exposure");
+    let colour = keys.text("colour").filter(|&name| name != "auto").map(str::to_owned);
+    Some(PlateKeys { file: folder.join(file?), frames, colour, exposure, relative_exposure })
+}
+
+const SUPPORT: &[&str] = &["plane", "mesh", "albedo"];
+
+fn read_support(keys: &Keys, folder: &Path) -> Option<Support> {
+    let albedo = if keys.is_text("albedo") {
+        keys.choice("albedo", &[("plate", Albedo::Plate), ("mesh", Albedo::Mesh)])
+    } else if keys.has("albedo") {
+        keys.numbers("albedo").map(Albedo::Constant)
+    } else {
+        Some(Albedo::Plate)
+    };
+    if let Some(Albedo::Constant(rgb)) = albedo
+        && rgb.iter().any(|c| !(0.0..=1.0).contains(c))
+    {
+        keys.problem("albedo", "a surface reflects between 0 and 1 of the light, per channel");
+    }
+    let shape = match keys.exactly_one(&["plane", "mesh"])? {
+        "mesh" => SupportShape::Mesh(folder.join(keys.text("mesh")?)),
+        _ => {
+            let plane = keys.table("plane", &["size", "at", "normal"])?;
+            let size = plane.positives("size");
+            SupportShape::Plane {
+                size: plane.need("size", size, "give its two sides in metres, [3.0, 3.0]")?,
+                at: plane.numbers("at").unwrap_or_default(),
+                normal: plane.direction("normal").unwrap_or([0.0, 1.0, 0.0]),
+            }
+        }
+    };
+    if albedo == Some(Albedo::Mesh) && matches!(shape, SupportShape::Plane { .. }) {
+        keys.problem("albedo", "\"mesh\" needs support.mesh; a plane has no colour of its own");
+    }
+    Some(Support { shape, albedo: albedo? })
+}
+
+fn read_local(keys: &Keys, folder: &Path) -> Option<Local> {
+    let file = keys.need("file", keys.text("file"), "name a .glb, .gltf or .obj file");
+    let holdout = keys.flag("holdout").unwrap_or(false);
+    Some(Local { file: folder.join(file?), holdout })
+}
+
+fn read_object(keys: &Keys, folder: &Path) -> Option<Object> {
+    let file = keys.need("file", keys.text("file"), "name a .glb, .gltf or .obj file");
+    let at = keys.numbers("at").unwrap_or_default();
+    let rotate = keys.numbers("rotate").unwrap_or_default();
+    let scale = keys.positive("scale").unwrap_or(1.0);
+    Some(Object { file: folder.join(file?), at, rotate, scale })
+}
+
+const RENDER: &[&str] = &["error", "time", "samples", "method"];
+
+/// One per cent of the plate: what an eye does not see in a single picture.
+const DEFAULT_ERROR: f64 = 0.01;
+
+fn read_render(keys: &Keys) -> Option<Render> {
+    let method = keys.text("method").unwrap_or("auto").to_owned();
+    let given = ["error", "time", "samples"].iter().any(|key| keys.has(key));
+    let stop = if given {
+        match keys.exactly_one(&["error", "time", "samples"])? {
+            "error" => StopKeys::Error(keys.positive("error")?),
+            "time" => StopKeys::Time(read_seconds(keys)?),
+            _ => StopKeys::Samples(keys.count("samples").filter(|&n| {
+                if n == 0 {
+                    keys.problem("samples", "0 samples show nothing; give 1 or more");
+                }
+                n > 0
+            })?),
+        }
+    } else {
+        StopKeys::Error(DEFAULT_ERROR)
+    };
+    Some(Render { stop, method })
+}
+
+/// `time = 60`, `"60s"`, `"5m"` or `"2h"`, in seconds.
+fn read_seconds(keys: &Keys) -> Option<f64> {
+    if !keys.is_text("time") {
+        return keys.positive("time");
+    }
+    let text = keys.text("time")?.trim();
+    let (number, unit) = text.split_at(text.len() - text.chars().last().map_or(0, char::len_utf8));
+    let seconds_each = match unit {
+        "s" => 1.0,
+        "m" => 60.0,
+        "h" => 3600.0,
+        _ => 0.0,
+    };
+    let seconds = number.trim().parse::<f64>().ok().map(|n| n * seconds_each);
+    let seconds = seconds.filter(|s| s.is_finite() && *s > 0.0);
+    if seconds.is_none() {
+        keys.problem("time", &format!("\"{text}\" is no time; write \"60s\", \"5m\" or \"2h\""));
+    }
+    seconds
+}
+
+fn read_composite(keys: Option<&Keys>) -> CompositeKeys {
+    let modes =
+        [("auto", ModeKeys::Auto), ("additive", ModeKeys::Additive), ("ratio", ModeKeys::Ratio)];
+    let grains = [("none", Grain::None), ("match", Grain::Match)];
+    CompositeKeys {
+        mode: keys.and_then(|k| k.choice("mode", &modes)).unwrap_or(ModeKeys::Auto),
+        grain: keys.and_then(|k| k.choice("grain", &grains)).unwrap_or(Grain::None),
+    }
+}
+
+/// The list of layers, or `None` for "all".
+fn read_layers(keys: &Keys) -> Option<Vec<String>> {
+    let names = keys.texts("layers")?;
+    if names == ["all"] {
+        return None;
+    }
+    for name in &names {
+        if !crate::composite::LAYERS.contains(name) {
+            let sentence = format!(
+                "\"{name}\" is no layer; known: all, {}",
+                crate::composite::LAYERS.join(", ")
+            );
+            keys.problem("layers", &sentence);
+        }
+    }
+    Some(names.into_iter().map(str::to_owned).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::shot::camera_keys::{Board, CameraSource};
+    use crate::shot::probe_keys::{Clipped, ProbeSource};
+
+    const WHOLE: &str = r#"
+[plate]
+file = "plate.png"
+[camera]
+boards = "board_*.jpg"
+board = { kind = "checkerboard", corners = [9, 6], square_mm = 25 }
+[pose]
+tag = { photo = "tag.jpg", id = 7, size_mm = 120.0, at = [0.4, 0, 0.2], facing = [0, 1, 0], up = [0, 0, -1] }
+[probe]
+ball = { photos = "ball_b*.jpg", radius = 0.06, at = [0, 0.06, 0], reflectance = 0.6 }
+[support]
+plane = { size = [3.0, 3.0] }
+"#;
+
+    fn parse(text: &str) -> Result<ShotFile, Vec<String>> {
+        ShotFile::parse(Path::new("shots/a/shot.toml"), text).map_err(|error| match error {
+            ShotFileError::Problems(problems) => problems,
+            other => panic!("{other}"),
+        })
+    }
+
+    #[test]
+    fn defaults_are_those_of_the_format_and_paths_follow_the_file() {
+        let shot = parse(WHOLE).expect("the text is right");
+        assert_eq!(shot.plate.file, Path::new("shots/a/plate.png"));
+        assert!(matches!(&shot.camera.source, CameraSource::Boards { board, .. }
+            if *board == Board::Checkerboard { corners: [9, 6], square_mm: 25.0 }));
+        assert_eq!(shot.probe.clipped, Clipped::Error);
+        assert!(matches!(&shot.probe.source, ProbeSource::Ball(ball)
+            if ball.reflectance == [0.6; 3] && ball.camera.is_none() && ball.pose.is_none()));
+        assert_eq!(shot.support.albedo, Albedo::Plate);
+        assert_eq!(shot.render.stop, StopKeys::Error(0.01));
+        assert!(shot.objects.is_empty() && shot.output.layers.is_none());
+    }
+
+    #[test]
+    fn every_problem_is_told_at_once_with_line_and_key() {
+        let text = WHOLE
+            .replace("radius = 0.06", "radios = 0.06")
+            .replace("size = [3.0, 3.0]", "size = [3.0]")
+            .replace("[plate]", "[plaet]")
+            + "[render]\ntime = \"soon\"\n[[object]]\nscale = -1\n";
+        let problems = parse(&text).expect_err("five things are wrong");
+        let expected = [
+            "shot.toml:2: plaet: unknown key; did you mean `plate`?",
+            "plate: is missing",
+            "shot.toml:10: probe.ball.radios: unknown key; did you mean `probe.ball.radius`?",
+            "shot.toml:10: probe.ball.radius: is missing",
+            "shot.toml:12: support.plane.size: expected 2 numbers above 0",
+            "object[0].file: is missing",
+            "object[0].scale: expected a number above 0",
+            "shot.toml:14: render.time: \"soon\" is no time",
+        ];
+        for sentence in expected {
+            assert!(
+                problems.iter().any(|problem| problem.contains(sentence)),
+                "{sentence:?} is not in {problems:#?}"
+            );
+        }
+    }
+
+    #[test]
+    fn broken_toml_is_a_problem_with_a_line() {
+        let problems = parse("[plate]\nfile = \n").expect_err("no value");
+        assert!(problems[0].contains("shot.toml:2:"), "{problems:?}");
+    }
+
+    #[test]
+    fn times_are_read_with_their_units() {
+        for (text, seconds) in
+            [("60", 60.0), ("\"60s\"", 60.0), ("\"1.5m\"", 90.0), ("\"2h\"", 7200.0)]
+        {
+            let shot = parse(&format!("{WHOLE}[render]\ntime = {text}\n")).expect("a time");
+            assert_eq!(shot.render.stop, StopKeys::Time(seconds));
+        }
+        assert!(parse(&format!("{WHOLE}[render]\ntime = \"\"\n")).is_err());
+        assert!(parse(&format!("{WHOLE}[render]\nerror = 0.1\nsamples = 4\n")).is_err());
+    }
+
+    #[test]
+    fn layers_are_checked_by_name() {
+        let shot = parse(&format!("{WHOLE}[output]\nlayers = [\"Z\", \"shadow\"]\n"));
+        assert_eq!(
+            shot.expect("two layers").output.layers,
+            Some(vec!["Z".into(), "shadow".into()])
+        );
+        assert!(parse(&format!("{WHOLE}[output]\nlayers = [\"depth\"]\n")).is_err());
+    }
+}

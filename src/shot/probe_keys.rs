@@ -1,0 +1,322 @@
+//! `[probe]`, `[surroundings]` and `[[lamp]]` of the shot file: where the light comes from.
+
+use std::path::{Path, PathBuf};
+
+use serde::Serialize;
+
+use super::camera_keys::{CameraKeys, CameraSource, ExposureKeys, PoseSource};
+use super::keys::Keys;
+
+/// `[probe]`
+#[derive(Clone, Debug, Serialize)]
+pub struct ProbeKeys {
+    pub source: ProbeSource,
+    pub clipped: Clipped,
+    pub suns: Suns,
+}
+
+#[derive(Clone, Debug, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum ProbeSource {
+    Ball(Ball),
+    Fisheye(Fisheye),
+    Panorama(PanoramaKeys),
+}
+
+/// A mirror ball in an exposure bracket.
+#[derive(Clone, Debug, Serialize)]
+pub struct Ball {
+    /// Pattern that names the bracket's photographs, or one EXR of radiance.
+    pub photos: PathBuf,
+    /// Exposures of the photographs in the order of their names; empty: EXIF.
+    pub exposures: Vec<ExposureKeys>,
+    /// Metres.
+    pub radius: f64,
+    /// Its centre, metres.
+    pub at: [f64; 3],
+    /// Share of light it reflects, per channel.
+    pub reflectance: [f64; 3],
+    /// Centre and radius in the photographs, to help the finder.
+    pub hint_px: Option<[f64; 3]>,
+    /// `None`: the plate's.
+    pub camera: Option<CameraSource>,
+    pub crop: Option<Crop>,
+    /// `None`: the plate's.
+    pub pose: Option<PoseSource>,
+}
+
+/// The photographs are a cut-out at `scale` × the camera's frame; their pixel (0, 0) is (x, y) there.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Crop {
+    pub x: f64,
+    pub y: f64,
+    pub scale: f64,
+}
+
+/// Fisheye photographs of the light.
+#[derive(Clone, Debug, Serialize)]
+pub struct Fisheye {
+    pub photos: PathBuf,
+    pub exposures: Vec<ExposureKeys>,
+    pub mapping: FisheyeMapping,
+    /// Angle across the image circle.
+    pub fov_deg: f64,
+    /// Centre and radius of the image circle; `None`: inscribed in the picture.
+    pub circle_px: Option<[f64; 3]>,
+    /// Degrees about the world's X, then Y, then Z; at 0 the lens looks along −Z with +Y up.
+    pub rotation: [f64; 3],
+    /// Where it stood, metres.
+    pub at: [f64; 3],
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum FisheyeMapping {
+    Equidistant,
+    Equisolid,
+}
+
+/// A ready panorama.
+#[derive(Clone, Debug, Serialize)]
+pub struct PanoramaKeys {
+    pub file: PathBuf,
+    pub mapping: PanoramaMapping,
+    /// Degrees about the world's X, then Y, then Z.
+    pub rotation: [f64; 3],
+    /// Where it was taken, metres.
+    pub at: [f64; 3],
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum PanoramaMapping {
+    LatLong,
+    Angular,
+    Cube,
+}
+
+/// What to do with light that is clipped in every exposure.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Clipped {
+    Error,
+    Accept,
+    Recover,
+}
+
+/// Whether small bright lights are taken out of the panorama and sampled on their own.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Suns {
+    Auto,
+    Never,
+    Always,
+}
+
+/// `[surroundings]`: where the light really comes from when it is not far away.
+#[derive(Clone, Debug, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Surroundings {
+    Box { min: [f64; 3], max: [f64; 3] },
+    Mesh(PathBuf),
+}
+
+/// `[[lamp]]`: a lamp near the objects.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct Lamp {
+    /// Its centre, metres.
+    pub at: [f64; 3],
+    /// Metres.
+    pub radius: f64,
+}
+
+impl ProbeKeys {
+    pub const KEYS: &[&str] = &["ball", "fisheye", "panorama", "sky", "clipped", "suns"];
+
+    pub fn read(keys: &Keys, folder: &Path) -> Option<Self> {
+        let clipped =
+            [("error", Clipped::Error), ("accept", Clipped::Accept), ("recover", Clipped::Recover)];
+        let clipped = keys.choice("clipped", &clipped).unwrap_or(Clipped::Error);
+        let suns = [("auto", Suns::Auto), ("never", Suns::Never), ("always", Suns::Always)];
+        let suns = keys.choice("suns", &suns).unwrap_or(Suns::Auto);
+        let source = match keys.exactly_one(&["ball", "fisheye", "panorama", "sky"])? {
+            "ball" => ProbeSource::Ball(Ball::read(&keys.table("ball", Ball::KEYS)?, folder)?),
+            "fisheye" => {
+                let fisheye = keys.table("fisheye", Fisheye::KEYS)?;
+                ProbeSource::Fisheye(Fisheye::read(&fisheye, folder)?)
+            }
+            "panorama" => {
+                let panorama = keys.table("panorama", PanoramaKeys::KEYS)?;
+                ProbeSource::Panorama(PanoramaKeys::read(&panorama, folder)?)
+            }
+            _ => {
+                keys.problem("sky", "this version has no sky model; use ball, fisheye or panorama");
+                return None;
+            }
+        };
+        Some(Self { source, clipped, suns })
+    }
+}
+
+impl Ball {
+    const KEYS: &[&str] = &[
+        "photos",
+        "exposures",
+        "radius",
+        "at",
+        "reflectance",
+        "hint_px",
+        "camera",
+        "crop",
+        "pose",
+    ];
+
+    fn read(keys: &Keys, folder: &Path) -> Option<Self> {
+        let photos = keys.need("photos", keys.text("photos"), "name the bracket, \"ball_b*.jpg\"");
+        let radius =
+            keys.need("radius", keys.positive("radius"), "give the ball's radius in metres");
+        let at = keys.need("at", keys.numbers("at"), "give the ball's centre in metres");
+        let reflectance = read_reflectance(keys);
+        let camera = read_camera(keys, folder);
+        let pose = read_pose(keys, folder);
+        let crop = keys.table("crop", &["x", "y", "scale"]).and_then(|crop| {
+            Some(Crop {
+                x: crop.need("x", crop.number("x"), "give the cut-out's left edge")?,
+                y: crop.need("y", crop.number("y"), "give the cut-out's upper edge")?,
+                scale: crop.positive("scale").unwrap_or(1.0),
+            })
+        });
+        let exposures = ExposureKeys::read_list(keys, "exposures");
+        let hint_px = keys.numbers("hint_px");
+        Some(Self {
+            photos: folder.join(photos?),
+            exposures,
+            radius: radius?,
+            at: at?,
+            reflectance: reflectance?,
+            hint_px,
+            camera: camera?,
+            crop,
+            pose: pose?,
+        })
+    }
+}
+
+/// Three channels, or one number for all.
+fn read_reflectance(keys: &Keys) -> Option<[f64; 3]> {
+    if !keys.has("reflectance") {
+        let remedy =
+            "photograph a grey card directly and in the ball; polished chrome has about 0.6";
+        return keys.need("reflectance", None, remedy);
+    }
+    let rgb = if keys.is_list("reflectance") {
+        keys.positives("reflectance")?
+    } else {
+        [keys.positive("reflectance")?; 3]
+    };
+    if rgb.iter().any(|&r| r > 1.0) {
+        keys.problem("reflectance", "a ball reflects at most 1 of the light");
+        return None;
+    }
+    Some(rgb)
+}
+
+/// `Some(None)` is the plate's camera.
+fn read_camera(keys: &Keys, folder: &Path) -> Option<Option<CameraSource>> {
+    if !keys.has("camera") {
+        return Some(None);
+    }
+    if !keys.is_text("camera") {
+        let table = keys.table("camera", &CameraKeys::KEYS[..6])?;
+        return CameraSource::read(&table, folder).map(Some);
+    }
+    match keys.text("camera")? {
+        "plate" => Some(None),
+        file => Some(Some(CameraSource::File(folder.join(file)))),
+    }
+}
+
+/// `Some(None)` is the plate's pose.
+fn read_pose(keys: &Keys, folder: &Path) -> Option<Option<PoseSource>> {
+    if !keys.has("pose") {
+        return Some(None);
+    }
+    if keys.is_text("pose") {
+        return keys.choice("pose", &[("plate", ())]).map(|()| None);
+    }
+    PoseSource::read(&keys.table("pose", PoseSource::KEYS)?, folder).map(Some)
+}
+
+impl Fisheye {
+    const KEYS: &[&str] =
+        &["photos", "exposures", "mapping", "fov_deg", "circle_px", "rotation", "at"];
+
+    fn read(keys: &Keys, folder: &Path) -> Option<Self> {
+        let mappings = [
+            ("equidistant", FisheyeMapping::Equidistant),
+            ("equisolid", FisheyeMapping::Equisolid),
+        ];
+        let photos = keys.need("photos", keys.text("photos"), "name the photographs");
+        let fov_deg = keys.positive("fov_deg").unwrap_or(180.0);
+        if fov_deg > 360.0 {
+            keys.problem("fov_deg", "a lens sees at most 360°");
+        }
+        Some(Self {
+            photos: folder.join(photos?),
+            exposures: ExposureKeys::read_list(keys, "exposures"),
+            mapping: keys.choice("mapping", &mappings).unwrap_or(FisheyeMapping::Equidistant),
+            fov_deg,
+            circle_px: keys.numbers("circle_px"),
+            rotation: keys.numbers("rotation").unwrap_or_default(),
+            at: keys.numbers("at").unwrap_or_default(),
+        })
+    }
+}
+
+impl PanoramaKeys {
+    const KEYS: &[&str] = &["file", "mapping", "rotation", "at"];
+
+    fn read(keys: &Keys, folder: &Path) -> Option<Self> {
+        let mappings = [
+            ("latlong", PanoramaMapping::LatLong),
+            ("angular", PanoramaMapping::Angular),
+            ("cube", PanoramaMapping::Cube),
+        ];
+        let file = keys.need("file", keys.text("file"), "name the panorama's file");
+        Some(Self {
+            file: folder.join(file?),
+            mapping: keys.choice("mapping", &mappings).unwrap_or(PanoramaMapping::LatLong),
+            rotation: keys.numbers("rotation").unwrap_or_default(),
+            at: keys.numbers("at").unwrap_or_default(),
+        })
+    }
+}
+
+impl Surroundings {
+    pub const KEYS: &[&str] = &["box", "mesh"];
+
+    pub fn read(keys: &Keys, folder: &Path) -> Option<Self> {
+        if keys.exactly_one(&["box", "mesh"])? == "mesh" {
+            return Some(Self::Mesh(folder.join(keys.text("mesh")?)));
+        }
+        let table = keys.table("box", &["min", "max"])?;
+        let min = table.need("min", table.numbers::<3>("min"), "give the lower corner in metres");
+        let max = table.need("max", table.numbers::<3>("max"), "give the upper corner in metres");
+        let (min, max) = (min?, max?);
+        if (0..3).any(|axis| min[axis] >= max[axis]) {
+            table.problem("min", "is not below max on every axis");
+            return None;
+        }
+        Some(Self::Box { min, max })
+    }
+}
+
+impl Lamp {
+    pub const KEYS: &[&str] = &["at", "radius"];
+
+    pub fn read(keys: &Keys) -> Option<Self> {
+        let at = keys.need("at", keys.numbers("at"), "give its centre in metres");
+        let radius = keys.need("radius", keys.positive("radius"), "give its radius in metres");
+        Some(Self { at: at?, radius: radius? })
+    }
+}
