@@ -4,6 +4,7 @@
 //! This room never detects anything in a picture (that is `calib/`) and never warps one.
 
 pub mod lens;
+pub mod planar_pose;
 pub mod pose;
 
 pub use lens::{Distortion, Lens};
