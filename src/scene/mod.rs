@@ -2,9 +2,11 @@
 //!
 //! glTF and OBJ files → [`Scene`] (objects · local things). This room never traces or lights.
 
+pub mod bounds;
 pub mod material;
 pub mod mesh;
 
+pub use bounds::Bounds;
 pub use material::{AlphaMode, Material, Texture, TextureRef};
 pub use mesh::Mesh;
 

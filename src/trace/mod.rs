@@ -1,6 +1,18 @@
 //! Ray → hit: acceleration structure and ray kernel, nothing of light.
 //!
 //! [`Mesh`](crate::scene::Mesh)es → [`Accel`]; [`Ray`] → [`Hit`]. This room never shades.
+//!
+//! The hit of a ray is a property of the triangles alone: the triangle test is watertight and its
+//! decisions do not depend on the order of the visit, the tree, the number of threads or the
+//! instruction set. The tree only skips boxes that cannot hold a hit.
+
+pub mod accel;
+mod kernel;
+mod traverse;
+mod triangle;
+mod wide;
+
+pub use accel::Accel;
 
 use glam::Vec3;
 
@@ -10,8 +22,21 @@ pub struct Ray {
     pub origin: Vec3,
     /// Unit length.
     pub direction: Vec3,
+    /// Not negative; a negative value counts as 0.
     pub t_min: f32,
     pub t_max: f32,
+}
+
+impl Ray {
+    /// The whole half-line from `origin` along `direction` (unit length).
+    pub fn new(origin: Vec3, direction: Vec3) -> Self {
+        Self { origin, direction, t_min: 0.0, t_max: f32::INFINITY }
+    }
+
+    /// The point at distance `t`.
+    pub fn at(&self, t: f32) -> Vec3 {
+        self.origin + self.direction * t
+    }
 }
 
 /// Where a ray first met a triangle.
