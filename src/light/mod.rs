@@ -3,6 +3,8 @@
 //! [`Panorama`](crate::probe::Panorama) → `Lights`, which answer the three queries of any light:
 //! sample, pdf, radiance. This room never traces a path.
 
+pub mod clipped;
+
 use glam::Vec3;
 
 use crate::conventions::Rgb;

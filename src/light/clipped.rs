@@ -1,0 +1,633 @@
+//! The strength of a sun that clipped in every photograph of the probe.
+//!
+//! Its direction is known (the centroid of the clipped region), its flux only from below. What it
+//! does to surfaces is in the plate, though: methods-capture C7 gives the irradiance `E_n` on a
+//! plane facing the sun from what the plate shows, with `E_k` the irradiance by everything else.
+//!
+//! 1. a lit surface of known albedo ρ: `E_n = (πL/ρ − E_k)/cos θ` (the support, or a printed white);
+//! 2. a real shadow on the support, albedo unknown: `E_n = (r·E_k,shadow − E_k,lit)/cos θ`, with
+//!    `r = L_lit/L_shadow` of neighbouring pixels.
+//!
+//! `E_k` is integrated over the panorama without the sun, from the very point: rays that meet the
+//! modelled local scene are answered by the panorama too, in the direction in which the probe saw
+//! the point that was met. Estimates are combined by inverse variance.
+
+use std::f64::consts::PI;
+
+use glam::{DVec2, DVec3};
+use thiserror::Error;
+
+use crate::bracket::Validity;
+use crate::camera::Camera;
+use crate::conventions::{Rgb, SUN_HALF_ANGLE_RAD, lat_long_direction, lat_long_pixel, luminance};
+use crate::photo::Image;
+use crate::probe::Panorama;
+use crate::scene::{LocalRole, Scene};
+use crate::trace::{Accel, Hit, Ray};
+
+/// Relative doubt of the irradiance by everything but the sun (methods-capture C7's budget).
+const SIGMA_KNOWN_IRRADIANCE: f64 = 0.05;
+/// Rays per estimate of the known irradiance, a square number: stratified, cosine-weighted.
+const IRRADIANCE_RAYS_PER_SIDE: usize = 24;
+/// Plate pixels between two samples of the support.
+const GRID_STEP_PX: usize = 3;
+/// A sample counts as lit or shadowed only if all its grid neighbours this far agree: keeps the
+/// penumbra and the error of the pose out.
+const AGREEING_NEIGHBOURS: usize = 2;
+/// Grid samples along the side of a tile in which lit and shadowed samples are compared: near
+/// enough to be the same material, large enough to average its texture.
+const TILE_SAMPLES: usize = 20;
+/// Samples of each kind that a tile needs.
+const TILE_QUORUM: usize = 24;
+
+/// Why a clipped sun could not be recovered.
+#[derive(Debug, Error)]
+pub enum RecoverError {
+    #[error(
+        "the plate shows neither a lit surface of known albedo nor a modelled shadow, so the \
+         clipped sun's strength stays unknown; give support.albedo as [r, g, b], model the thing \
+         that casts a visible shadow as [[local]], add a shorter exposure to the probe's bracket, \
+         or set probe.clipped = \"accept\""
+    )]
+    NoEvidence,
+    #[error(
+        "the support is as dark in the sun as out of it (irradiance by the sun {0:.4} of the \
+         plate's scale, by all else {1:.4}): the clipped region is no sun; set probe.clipped = \"accept\""
+    )]
+    NotASun(f64, f64),
+}
+
+/// One estimate of the sun's irradiance on a plane facing it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Evidence {
+    pub method: Method,
+    /// Per channel, the plate's scale times sr.
+    pub irradiance_normal: DVec3,
+    /// Relative standard error.
+    pub sigma: f64,
+    /// How many independent places it rests on.
+    pub places: usize,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Method {
+    /// A lit surface of given albedo.
+    KnownAlbedo,
+    /// A modelled shadow on the support.
+    Shadow,
+}
+
+/// What the plate says of a clipped sun.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RecoveredSun {
+    /// Unit, world: toward the sun.
+    pub direction: DVec3,
+    pub half_angle_rad: f64,
+    /// Irradiance on a plane facing the sun, per channel, in the plate's scale times sr.
+    pub irradiance_normal: DVec3,
+    /// Relative standard error of `irradiance_normal`.
+    pub sigma: f64,
+    /// All estimates, the ones combined above.
+    pub evidence: Vec<Evidence>,
+}
+
+impl RecoveredSun {
+    /// Radiance of a uniform disc with this irradiance.
+    pub fn radiance(&self) -> Rgb {
+        let projected_solid_angle = PI * self.half_angle_rad.sin().powi(2);
+        (self.irradiance_normal / projected_solid_angle).as_vec3()
+    }
+}
+
+/// A matte patch of known albedo whose radiance was photographed, in the plate's scale.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Reference {
+    /// World, metres.
+    pub point: DVec3,
+    pub normal: DVec3,
+    pub albedo: Rgb,
+    /// Relative standard error of `albedo`.
+    pub sigma_albedo: f64,
+    pub radiance: Rgb,
+}
+
+/// The shot as the recovery sees it: the plate, its camera and the modelled local scene.
+pub struct Stage<'a> {
+    /// Linear plate; `clipped` pixels are ignored.
+    pub plate: &'a Image<Rgb>,
+    pub clipped: &'a Image<bool>,
+    pub camera: &'a Camera,
+    /// Light by everything but the sun: the clipped texels already filled by their surroundings.
+    pub panorama: &'a Panorama,
+    pub scene: &'a Scene,
+    /// Built over the meshes of `scene.local`, in their order.
+    pub local: &'a Accel,
+    /// The support's albedo and its relative standard error, if the shot gives it.
+    pub support_albedo: Option<(Rgb, f64)>,
+}
+
+/// Finds the irradiance of a sun in `direction` (unit, world) from what it does in the plate.
+pub fn recover(
+    stage: &Stage,
+    direction: DVec3,
+    references: &[Reference],
+) -> Result<RecoveredSun, RecoverError> {
+    let samples = SupportGrid::sample(stage, direction);
+    let mut evidence = Vec::new();
+    evidence.extend(by_shadow(stage, &samples, direction));
+    evidence.extend(by_support_albedo(stage, &samples, direction));
+    evidence.extend(references.iter().filter_map(|r| by_reference(stage, r, direction)));
+
+    if evidence.is_empty() {
+        return Err(RecoverError::NoEvidence);
+    }
+    let weight_sum: f64 = evidence.iter().map(|e| e.sigma.powi(-2)).sum();
+    let irradiance_normal =
+        evidence.iter().map(|e| e.irradiance_normal * e.sigma.powi(-2)).sum::<DVec3>() / weight_sum;
+    if irradiance_normal.min_element() <= 0.0 {
+        let known = stage.known_irradiance(stage.panorama.place, DVec3::Y);
+        return Err(RecoverError::NotASun(
+            luminance(irradiance_normal.as_vec3()).into(),
+            luminance(known.as_vec3()).into(),
+        ));
+    }
+    Ok(RecoveredSun {
+        direction,
+        half_angle_rad: SUN_HALF_ANGLE_RAD,
+        irradiance_normal,
+        sigma: weight_sum.powf(-0.5),
+        evidence,
+    })
+}
+
+impl Stage<'_> {
+    /// Irradiance (plate's scale times sr) at a world point by everything but the sun.
+    fn known_irradiance(&self, point: DVec3, normal: DVec3) -> DVec3 {
+        let n = IRRADIANCE_RAYS_PER_SIDE;
+        let (tangent, bitangent) = normal.any_orthonormal_pair();
+        let mut sum = DVec3::ZERO;
+        for i in 0..n {
+            for j in 0..n {
+                // Centres of equal-area cells of the unit disc, lifted to the hemisphere: pdf = cos θ/π
+                let r = ((i as f64 + 0.5) / n as f64).sqrt();
+                let phi = 2.0 * PI * (j as f64 + 0.5) / n as f64;
+                let height = (1.0 - r * r).sqrt();
+                let direction =
+                    tangent * (r * phi.cos()) + bitangent * (r * phi.sin()) + normal * height;
+                sum += self.known_radiance(point, normal, direction);
+            }
+        }
+        sum * PI / (n * n) as f64
+    }
+
+    /// Radiance that arrives at `point` from `direction`, the sun left out.
+    fn known_radiance(&self, point: DVec3, normal: DVec3, direction: DVec3) -> DVec3 {
+        let ray = self.ray_from(point, normal, direction);
+        let seen_from_probe = match self.local.closest(&ray) {
+            Some(hit) => {
+                self.scene.origin + (ray.origin + ray.direction * hit.t).as_dvec3()
+                    - self.panorama.place
+            }
+            None => direction,
+        };
+        texel(self.panorama, seen_from_probe.try_normalize().unwrap_or(direction)).as_dvec3()
+    }
+
+    fn sees_sun(&self, point: DVec3, normal: DVec3, direction: DVec3) -> bool {
+        normal.dot(direction) > 0.0
+            && !self.local.occluded(&self.ray_from(point, normal, direction))
+    }
+
+    /// Geometric normal of the triangle that was hit; `None` if it has no area.
+    fn normal(&self, hit: &Hit) -> Option<DVec3> {
+        let mesh = &self.scene.local[hit.mesh as usize].mesh;
+        let [a, b, c] = mesh.triangles[hit.triangle as usize]
+            .map(|corner| mesh.positions[corner as usize].as_dvec3());
+        (b - a).cross(c - a).try_normalize()
+    }
+
+    fn ray_from(&self, point: DVec3, normal: DVec3, direction: DVec3) -> Ray {
+        let local = point - self.scene.origin;
+        // Clear of the surface itself: f32 positions carry 6e-8 of their size
+        let lift = 1e-4 + 1e-6 * local.length();
+        let facing = if normal.dot(direction) < 0.0 { -normal } else { normal };
+        Ray {
+            origin: (local + facing * lift).as_vec3(),
+            direction: direction.as_vec3(),
+            t_min: 0.0,
+            t_max: f32::INFINITY,
+        }
+    }
+}
+
+/// Radiance of the nearest texel in a world direction.
+fn texel(panorama: &Panorama, direction: DVec3) -> Rgb {
+    let (width, height) = (panorama.radiance.width(), panorama.radiance.height());
+    let local = panorama.world_from_panorama.inverse() * direction;
+    let pixel = lat_long_pixel(local, width, height);
+    let x = (pixel.x.round().max(0.0) as usize).min(width - 1);
+    let y = (pixel.y.round().max(0.0) as usize).min(height - 1);
+    panorama.radiance[(x, y)]
+}
+
+/// A support point seen by a plate pixel.
+#[derive(Clone, Copy)]
+struct SupportSample {
+    point: DVec3,
+    normal: DVec3,
+    radiance: Rgb,
+    lit: bool,
+}
+
+/// The support as the plate shows it, every [`GRID_STEP_PX`]-th pixel.
+struct SupportGrid {
+    samples: Image<Option<SupportSample>>,
+}
+
+impl SupportGrid {
+    fn sample(stage: &Stage, sun: DVec3) -> Self {
+        let width = stage.plate.width().div_ceil(GRID_STEP_PX);
+        let height = stage.plate.height().div_ceil(GRID_STEP_PX);
+        let samples = Image::from_fn(width, height, |i, j| {
+            let (x, y) = (i * GRID_STEP_PX, j * GRID_STEP_PX);
+            if stage.clipped[(x, y)] {
+                return None;
+            }
+            let (origin, direction) = stage.camera.ray(DVec2::new(x as f64, y as f64))?;
+            let ray = Ray {
+                origin: (origin - stage.scene.origin).as_vec3(),
+                direction: direction.as_vec3(),
+                t_min: 0.0,
+                t_max: f32::INFINITY,
+            };
+            let hit = stage.local.closest(&ray)?;
+            if stage.scene.local[hit.mesh as usize].role != LocalRole::Support {
+                return None;
+            }
+            let normal = stage.normal(&hit)?;
+            let normal = if normal.dot(direction) > 0.0 { -normal } else { normal };
+            let point = origin + direction * f64::from(hit.t);
+            let lit = stage.sees_sun(point, normal, sun);
+            Some(SupportSample { point, normal, radiance: stage.plate[(x, y)], lit })
+        });
+        Self { samples }
+    }
+
+    /// The sample at grid place (i, j) if every neighbour within [`AGREEING_NEIGHBOURS`] is the
+    /// support too and is lit, or not, alike.
+    fn settled(&self, i: usize, j: usize) -> Option<SupportSample> {
+        let sample = (*self.samples.get(i, j)?)?;
+        let reach = AGREEING_NEIGHBOURS as isize;
+        for dj in -reach..=reach {
+            for di in -reach..=reach {
+                let (x, y) = (i.checked_add_signed(di)?, j.checked_add_signed(dj)?);
+                if (*self.samples.get(x, y)?)?.lit != sample.lit {
+                    return None;
+                }
+            }
+        }
+        Some(sample)
+    }
+
+    /// Lit and shadowed settled samples of each tile that holds enough of both.
+    fn split_tiles(&self) -> Vec<[Vec<SupportSample>; 2]> {
+        let mut tiles = Vec::new();
+        for top in (0..self.samples.height()).step_by(TILE_SAMPLES) {
+            for left in (0..self.samples.width()).step_by(TILE_SAMPLES) {
+                let mut tile = [Vec::new(), Vec::new()];
+                for j in top..top + TILE_SAMPLES {
+                    for i in left..left + TILE_SAMPLES {
+                        if let Some(sample) = self.settled(i, j) {
+                            tile[usize::from(!sample.lit)].push(sample);
+                        }
+                    }
+                }
+                if tile.iter().all(|samples| samples.len() >= TILE_QUORUM) {
+                    tiles.push(tile);
+                }
+            }
+        }
+        tiles
+    }
+}
+
+/// Method 2: shadows that the local scene throws on the support.
+fn by_shadow(stage: &Stage, grid: &SupportGrid, sun: DVec3) -> Option<Evidence> {
+    let estimates: Vec<DVec3> = grid
+        .split_tiles()
+        .iter()
+        .map(|[lit, shadowed]| {
+            let ratio = median_radiance(lit) / median_radiance(shadowed);
+            let cos = lit[0].normal.dot(sun);
+            (ratio * mean_known_irradiance(stage, shadowed) - mean_known_irradiance(stage, lit))
+                / cos
+        })
+        .filter(|e| e.is_finite())
+        .collect();
+    let combined = robust_mean(&estimates)?;
+    // The known irradiance enters in proportion, the scatter of the tiles tells the rest
+    let sigma = combined.sigma.hypot(2.0 * SIGMA_KNOWN_IRRADIANCE);
+    Some(Evidence {
+        method: Method::Shadow,
+        irradiance_normal: combined.mean,
+        sigma,
+        places: estimates.len(),
+    })
+}
+
+/// Method 1 on the support itself, where the shot gives its albedo.
+fn by_support_albedo(stage: &Stage, grid: &SupportGrid, sun: DVec3) -> Option<Evidence> {
+    let (albedo, sigma_albedo) = stage.support_albedo?;
+    let mut lit = Vec::new();
+    for j in 0..grid.samples.height() {
+        for i in 0..grid.samples.width() {
+            lit.extend(grid.settled(i, j).filter(|sample| sample.lit));
+        }
+    }
+    let centre = lit.get(lit.len() / 2)?;
+    let reference = Reference {
+        point: centre.point,
+        normal: centre.normal,
+        albedo,
+        sigma_albedo,
+        radiance: median_radiance(&lit).as_vec3(),
+    };
+    by_reference(stage, &reference, sun)
+}
+
+/// Method 1 on a patch of known albedo; `None` where the sun does not reach it.
+fn by_reference(stage: &Stage, reference: &Reference, sun: DVec3) -> Option<Evidence> {
+    if !stage.sees_sun(reference.point, reference.normal, sun) {
+        return None;
+    }
+    let cos = reference.normal.dot(sun);
+    let known = stage.known_irradiance(reference.point, reference.normal);
+    let total = reference.radiance.as_dvec3() * PI / reference.albedo.as_dvec3();
+    let irradiance_normal = (total - known) / cos;
+    if !irradiance_normal.is_finite() || irradiance_normal.min_element() <= 0.0 {
+        return None;
+    }
+    let share = |e: DVec3| luminance((e / (irradiance_normal * cos)).as_vec3()) as f64;
+    let sigma =
+        (reference.sigma_albedo * share(total)).hypot(SIGMA_KNOWN_IRRADIANCE * share(known));
+    Some(Evidence { method: Method::KnownAlbedo, irradiance_normal, sigma, places: 1 })
+}
+
+/// Per-channel median radiance.
+fn median_radiance(samples: &[SupportSample]) -> DVec3 {
+    let channel = |c: usize| {
+        let mut values: Vec<f32> = samples.iter().map(|s| s.radiance[c]).collect();
+        values.sort_by(f32::total_cmp);
+        f64::from(values[values.len() / 2])
+    };
+    DVec3::new(channel(0), channel(1), channel(2))
+}
+
+/// Known irradiance averaged over a few samples spread evenly through the list.
+fn mean_known_irradiance(stage: &Stage, samples: &[SupportSample]) -> DVec3 {
+    let step = samples.len().div_ceil(4);
+    let chosen: Vec<&SupportSample> = samples.iter().step_by(step).collect();
+    let sum: DVec3 = chosen.iter().map(|s| stage.known_irradiance(s.point, s.normal)).sum();
+    sum / chosen.len() as f64
+}
+
+struct RobustMean {
+    mean: DVec3,
+    /// Relative standard error of its luminance.
+    sigma: f64,
+}
+
+/// Per-channel median with the standard error that the median absolute deviation tells; `None` for fewer
+/// than two estimates or a median that is not positive.
+fn robust_mean(estimates: &[DVec3]) -> Option<RobustMean> {
+    if estimates.len() < 2 {
+        return None;
+    }
+    let median = |mut values: Vec<f64>| {
+        values.sort_by(f64::total_cmp);
+        0.5 * (values[(values.len() - 1) / 2] + values[values.len() / 2])
+    };
+    let mean =
+        DVec3::from_array([0, 1, 2].map(|c| median(estimates.iter().map(|e| e[c]).collect())));
+    if mean.min_element() <= 0.0 {
+        return None;
+    }
+    let brightness: Vec<f64> =
+        estimates.iter().map(|e| f64::from(luminance((e / mean).as_vec3()))).collect();
+    let deviation = median(brightness.iter().map(|b| (b - 1.0).abs()).collect());
+    // 1.4826 turns the median deviation into σ of a normal law, 1.2533 is the median's own price
+    let sigma = 1.4826 * 1.2533 * deviation / (estimates.len() as f64).sqrt();
+    Some(RobustMean { mean, sigma })
+}
+
+/// Takes a light that is modelled apart out of the panorama: its texels get the median of their
+/// surroundings and become [`Validity::Analytic`].
+///
+/// `half_angle_rad` is that of the cone around `direction` (world) to clear; the surroundings are
+/// the ring out to twice that, clipped texels left out. Nothing changes if the ring is empty.
+pub fn take_out(panorama: &mut Panorama, direction: DVec3, half_angle_rad: f64) {
+    let (width, height) = (panorama.radiance.width(), panorama.radiance.height());
+    let axis = panorama.world_from_panorama.inverse() * direction;
+    let mut inside = Vec::new();
+    let mut ring: Vec<Rgb> = Vec::new();
+    for y in 0..height {
+        for x in 0..width {
+            let texel = lat_long_direction(DVec2::new(x as f64, y as f64), width, height);
+            let angle = axis.angle_between(texel);
+            if angle <= half_angle_rad {
+                inside.push((x, y));
+            } else if angle <= 2.0 * half_angle_rad
+                && panorama.validity[(x, y)] != Validity::LowerBound
+            {
+                ring.push(panorama.radiance[(x, y)]);
+            }
+        }
+    }
+    if ring.is_empty() {
+        return;
+    }
+    let channel = |c: usize| {
+        let mut values: Vec<f32> = ring.iter().map(|l| l[c]).collect();
+        values.sort_by(f32::total_cmp);
+        values[values.len() / 2]
+    };
+    let surroundings = Rgb::new(channel(0), channel(1), channel(2));
+    for at in inside {
+        panorama.radiance[at] = surroundings;
+        panorama.validity[at] = Validity::Analytic;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::{DAffine3, DMat3, DQuat, Vec3};
+
+    use super::*;
+    use crate::camera::{Lens, Pose};
+    use crate::scene::{AlbedoSource, LocalMesh, Mesh};
+
+    const SKY: Rgb = Rgb::new(0.02, 0.03, 0.05);
+    const SUN: DVec3 = DVec3::new(1.6, 1.4, 1.0);
+
+    fn quad(corners: [Vec3; 4]) -> Mesh {
+        Mesh {
+            positions: corners.to_vec(),
+            triangles: vec![[0, 1, 2], [0, 2, 3]],
+            ..Mesh::default()
+        }
+    }
+
+    /// Ground of 8 × 8 m and a card of 0.7 × 0.7 m floating 3 m above: it hides 1.5 % of the sky at most.
+    fn yard() -> Scene {
+        let square = |half: f32, at: Vec3| {
+            quad(
+                [(-1.0, -1.0), (-1.0, 1.0), (1.0, 1.0), (1.0, -1.0)]
+                    .map(|(x, z)| at + Vec3::new(x, 0.0, z) * half),
+            )
+        };
+        let local = |mesh, role| LocalMesh { mesh, role, albedo: AlbedoSource::Plate };
+        Scene {
+            local: vec![
+                local(square(4.0, Vec3::ZERO), LocalRole::Support),
+                local(square(0.35, Vec3::new(0.0, 3.0, 0.0)), LocalRole::Prop),
+            ],
+            ..Scene::default()
+        }
+    }
+
+    fn sky() -> Panorama {
+        Panorama {
+            radiance: Image::filled(64, 32, SKY),
+            variance: Image::filled(64, 32, Rgb::ZERO),
+            validity: Image::filled(64, 32, Validity::Measured),
+            coverage: Image::filled(64, 32, 1.0),
+            world_from_panorama: DQuat::IDENTITY,
+            place: DVec3::new(0.0, 0.1, 0.0),
+        }
+    }
+
+    /// Looks straight down from 2.5 m at 300 × 300 px.
+    fn camera() -> Camera {
+        let down = DMat3::from_cols(DVec3::X, -DVec3::Z, DVec3::Y);
+        Camera {
+            width: 300,
+            height: 300,
+            lens: Lens::pinhole(300.0, 300, 300),
+            pose: Pose {
+                world_from_camera: DAffine3::from_mat3_translation(down, DVec3::new(0.4, 2.5, 0.0)),
+                covariance: None,
+            },
+        }
+    }
+
+    /// What the camera sees: a textured ground, lit but where the card's shadow falls. The card's
+    /// share of the sky is left out, the shadow comes from plane geometry.
+    fn photograph(camera: &Camera, sun: DVec3, albedo: f64) -> Image<Rgb> {
+        Image::from_fn(camera.width, camera.height, |x, y| {
+            let (origin, direction) = camera.ray(DVec2::new(x as f64, y as f64)).unwrap();
+            let ground = origin - direction * (origin.y / direction.y);
+            let above = ground + sun * (3.0 / sun.y);
+            let shadowed = above.x.abs() < 0.35 && above.z.abs() < 0.35;
+            let texture = 1.0 + 0.2 * (17.0 * ground.x).sin() * (23.0 * ground.z).cos();
+            let known = SKY.as_dvec3() * PI;
+            let irradiance = if shadowed { known } else { known + SUN * sun.y };
+            (irradiance * albedo * texture / PI).as_vec3()
+        })
+    }
+
+    fn recover_in_yard(
+        support_albedo: Option<(Rgb, f64)>,
+        references: &[Reference],
+        plate: &Image<Rgb>,
+        scene: &Scene,
+        sun: DVec3,
+    ) -> Result<RecoveredSun, RecoverError> {
+        let meshes: Vec<&Mesh> = scene.local.iter().map(|l| &l.mesh).collect();
+        let local = Accel::build(&meshes);
+        let stage = Stage {
+            plate,
+            clipped: &Image::filled(plate.width(), plate.height(), false),
+            camera: &camera(),
+            panorama: &sky(),
+            scene,
+            local: &local,
+            support_albedo,
+        };
+        recover(&stage, sun, references)
+    }
+
+    fn sun_direction() -> DVec3 {
+        DVec3::new(-0.25, 1.0, 0.1).normalize()
+    }
+
+    fn assert_recovered(found: &RecoveredSun, tolerance: f64) {
+        let off = (found.irradiance_normal / SUN - 1.0).abs().max_element();
+        assert!(off < tolerance, "{} is off by {off}", found.irradiance_normal);
+    }
+
+    #[test]
+    fn a_real_shadow_tells_the_sun_without_an_albedo() {
+        let sun = sun_direction();
+        let plate = photograph(&camera(), sun, 0.3);
+        let found = recover_in_yard(None, &[], &plate, &yard(), sun).unwrap();
+        assert_eq!(found.evidence[0].method, Method::Shadow);
+        // The photograph leaves out the 1.5 % of sky behind the card; tiles leave texture in the ratio.
+        assert_recovered(&found, 0.05);
+        assert!(found.sigma > 0.05 && found.sigma < 0.2, "stated {}", found.sigma);
+    }
+
+    #[test]
+    fn a_known_albedo_tells_the_sun_without_a_shadow() {
+        let sun = sun_direction();
+        let plate = photograph(&camera(), sun, 0.3);
+        let mut scene = yard();
+        scene.local.truncate(1);
+        let albedo = Some((Rgb::splat(0.3), 0.05));
+        let found = recover_in_yard(albedo, &[], &plate, &scene, sun).unwrap();
+        assert_eq!(found.evidence.len(), 1);
+        assert_recovered(&found, 0.02);
+    }
+
+    #[test]
+    fn a_printed_white_counts_only_where_the_sun_reaches_it() {
+        let sun = sun_direction();
+        let plate = Image::filled(300, 300, Rgb::splat(0.1));
+        let white = |point| Reference {
+            point,
+            normal: DVec3::Y,
+            albedo: Rgb::splat(0.85),
+            sigma_albedo: 0.05,
+            radiance: ((SKY.as_dvec3() * PI + SUN * sun.y) * 0.85 / PI).as_vec3(),
+        };
+        let found =
+            recover_in_yard(None, &[white(DVec3::new(-1.5, 0.0, 0.0))], &plate, &yard(), sun);
+        assert_recovered(&found.unwrap(), 0.02);
+        let under_the_card = -sun * (3.0 / sun.y) + DVec3::Y * 3.0;
+        let found = recover_in_yard(None, &[white(under_the_card)], &plate, &yard(), sun);
+        assert!(matches!(found, Err(RecoverError::NoEvidence)));
+    }
+
+    #[test]
+    fn without_shadow_or_albedo_the_strength_stays_unknown() {
+        let sun = sun_direction();
+        let mut scene = yard();
+        scene.local.truncate(1);
+        let plate = photograph(&camera(), sun, 0.3);
+        let found = recover_in_yard(None, &[], &plate, &scene, sun);
+        assert!(matches!(found, Err(RecoverError::NoEvidence)));
+    }
+
+    #[test]
+    fn taking_a_light_out_leaves_its_surroundings() {
+        let mut panorama = sky();
+        let direction = sun_direction();
+        let at = lat_long_pixel(direction, 64, 32).round();
+        let at = (at.x as usize, at.y as usize);
+        panorama.radiance[at] = Rgb::splat(50.0);
+        panorama.validity[at] = Validity::LowerBound;
+        take_out(&mut panorama, direction, 0.1);
+        assert_eq!(panorama.radiance[at], SKY);
+        assert_eq!(panorama.validity[at], Validity::Analytic);
+        assert!(panorama.radiance.pixels().iter().all(|&l| l == SKY));
+    }
+}
