@@ -4,11 +4,27 @@
 //! what is not changed can be written back bit for bit. Start with [`Photo`] and [`Image`].
 //! This room never guesses a colour space silently and never trusts a size it reads.
 
+pub mod atomic;
+pub mod colour;
+mod error;
+mod exif;
+pub mod exr_file;
+mod exr_read;
+mod icc;
 pub mod image;
+mod linear;
+pub mod png;
+pub mod radiance_hdr;
+mod raster;
+pub mod tiff;
 
+pub use self::colour::NamedColour;
+pub use self::error::PhotoError;
 pub use self::image::Image;
+pub use self::radiance_hdr::Mantissa;
 
-use std::path::PathBuf;
+use std::io::Read;
+use std::path::{Path, PathBuf};
 
 use crate::conventions::Rgb;
 
@@ -19,16 +35,29 @@ pub struct Photo {
     pub path: PathBuf,
     /// Scene-linear Rec.709 of the display window, EXIF orientation applied.
     pub linear: Image<Rgb>,
-    /// Straight coverage 0…1, if the file has one.
+    /// Coverage 0…1, if the file has one. `linear` stays as the file has it: premultiplied in EXR,
+    /// straight in PNG and TIFF.
     pub alpha: Option<Image<f32>>,
-    /// True where a channel is at or above the level at which this file clips.
+    /// True where a channel is at or above the level at which this file clips: 250 of 255, 0.98 of
+    /// 65535, the largest half; a float file never clips.
     pub clipped: Image<bool>,
+    /// Samples that were NaN or infinite; `linear` has 0 there.
+    pub nonfinite: Option<NonFinite>,
     /// What the camera wrote beside the picture.
     pub facts: Facts,
     /// How the file's samples stand for light.
     pub encoding: Encoding,
     /// The file's own samples, upright, same size as `linear`.
     pub samples: Samples,
+}
+
+/// NaN or infinite samples found in a file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct NonFinite {
+    /// Pixels with at least one such sample.
+    pub pixels: u64,
+    /// Column and row of the first, row by row.
+    pub first: (usize, usize),
 }
 
 /// Facts the camera wrote into the file (EXIF or EXR attributes); `None` where it did not.
@@ -92,7 +121,7 @@ pub enum EncodingSource {
 }
 
 /// A file's own samples: interleaved channels, row-major, upright.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub enum Samples {
     U8 {
         channels: usize,
@@ -111,4 +140,185 @@ pub enum Samples {
         channels: usize,
         data: Vec<f32>,
     },
+}
+
+impl Samples {
+    /// Interleaved channels of a pixel: 1 grey, 2 grey and alpha, 3 RGB, 4 RGBA.
+    pub fn channels(&self) -> usize {
+        match self {
+            Self::U8 { channels, .. }
+            | Self::U16 { channels, .. }
+            | Self::F16 { channels, .. }
+            | Self::F32 { channels, .. } => *channels,
+        }
+    }
+}
+
+impl Photo {
+    /// A picture that comes from no file: float, linear Rec.709, nothing clipped.
+    pub fn from_linear(linear: Image<Rgb>) -> Self {
+        let data = linear.pixels().iter().flat_map(|l| l.to_array()).collect();
+        Self {
+            path: PathBuf::new(),
+            alpha: None,
+            clipped: linear.map(|_| false),
+            nonfinite: None,
+            facts: Facts::default(),
+            encoding: Encoding {
+                transfer: Transfer::Linear,
+                primaries: Primaries::Rec709,
+                source: EncodingSource::Named,
+            },
+            samples: Samples::F32 { channels: 3, data },
+            linear,
+        }
+    }
+}
+
+/// What a reader may be told beside the file.
+#[derive(Clone, Debug)]
+pub struct ReadOptions {
+    /// The file's colour space as named by the user; `None` lets the file or its format's rule say.
+    pub colour: Option<NamedColour>,
+    /// The EXR layer (or part) to read; `None` takes the unnamed main picture.
+    pub layer: Option<String>,
+    /// How the writer of a Radiance `.hdr` made its mantissas.
+    pub mantissa: Mantissa,
+    /// Refuse pictures whose own samples need more than this many bytes (memory use is about
+    /// twice that).
+    pub max_bytes: u64,
+}
+
+impl Default for ReadOptions {
+    /// Colour as the file says, main picture, truncated mantissas, 2 GiB of samples.
+    fn default() -> Self {
+        Self { colour: None, layer: None, mantissa: Mantissa::Truncated, max_bytes: 2 << 30 }
+    }
+}
+
+/// What a format's decoder hands over: upright samples and what the file says of them.
+struct Decoded {
+    width: usize,
+    height: usize,
+    samples: Samples,
+    facts: Facts,
+    encoding: Encoding,
+}
+
+/// Reads a picture: EXR, Radiance HDR, PNG, TIFF or JPEG, told by its first bytes.
+///
+/// # Errors
+/// Anything unreadable, damaged, too large or of unknown colour, with file, cause and remedy.
+/// No content of a file panics or allocates much more than [`ReadOptions::max_bytes`].
+pub fn read(path: &Path, options: &ReadOptions) -> Result<Photo, PhotoError> {
+    let fail = |source| PhotoError::Read { path: path.into(), source };
+    let file = std::fs::File::open(path).map_err(fail)?;
+    let length = file.metadata().map_err(fail)?.len();
+    let limit = options.max_bytes;
+    if length > limit {
+        let what = "the file".into();
+        return Err(PhotoError::TooLarge { path: path.into(), what, bytes: length, limit });
+    }
+    let mut bytes = Vec::with_capacity(length as usize);
+    // `take`: what a pipe or growing file delivers beyond its stated length is not trusted either.
+    file.take(limit).read_to_end(&mut bytes).map_err(fail)?;
+    read_bytes(path, &bytes, options)
+}
+
+/// Reads a picture from a file's bytes; `path` only names it in messages.
+pub fn read_bytes(path: &Path, bytes: &[u8], options: &ReadOptions) -> Result<Photo, PhotoError> {
+    let decoded = match bytes {
+        [0x76, 0x2f, 0x31, 0x01, ..] => exr_read::decode(path, bytes, options)?,
+        [b'#', b'?', ..] => radiance_hdr::decode(path, bytes, options)?,
+        [0x89, b'P', b'N', b'G', ..] => raster::decode_png(path, bytes, options)?,
+        [b'I', b'I', 42 | 43, 0, ..] | [b'M', b'M', 0, 42 | 43, ..] => {
+            raster::decode_tiff(path, bytes, options)?
+        }
+        [0xff, 0xd8, ..] => raster::decode_jpeg(path, bytes, options)?,
+        _ => return Err(not_a_picture(path, bytes)),
+    };
+    linear::photo(path, decoded)
+}
+
+fn not_a_picture(path: &Path, bytes: &[u8]) -> PhotoError {
+    let (found, hint) = match bytes {
+        [] => ("is empty", ""),
+        [b'v', b'e', b'r', b's', b'i', b'o', b'n', ..] => {
+            ("is a Git LFS pointer, not a picture", "; fetch it with `git lfs pull`")
+        }
+        [b'B', b'M', ..] | [b'G', b'I', b'F', b'8', ..] => ("is BMP or GIF", "; convert to PNG"),
+        [b'R', b'I', b'F', b'F', ..] => ("is WebP or another RIFF file", "; convert to PNG"),
+        [_, _, _, _, b'f', b't', b'y', b'p', ..] => {
+            ("is HEIC, AVIF, CR3 or another ISO media file", "; export to TIFF, EXR or JPEG")
+        }
+        _ => (
+            "is not a picture in a known format",
+            "; develop camera raw to 16-bit TIFF or EXR first",
+        ),
+    };
+    PhotoError::NotAPicture { path: path.into(), found: found.into(), hint }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A folder of `../shared`, or `None` with a word where it is missing.
+    fn shared(folder: &str) -> Option<PathBuf> {
+        let root = std::env::var_os("PLATELIGHT_SHARED").map_or_else(
+            || PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../shared")),
+            PathBuf::from,
+        );
+        let path = root.join(folder);
+        if !path.exists() {
+            eprintln!("{} is missing: test skipped", path.display());
+            return None;
+        }
+        Some(path)
+    }
+
+    fn files_below(folder: &Path) -> Vec<PathBuf> {
+        let mut found = Vec::new();
+        let mut folders = vec![folder.to_path_buf()];
+        while let Some(folder) = folders.pop() {
+            for entry in std::fs::read_dir(folder).unwrap() {
+                let path = entry.unwrap().path();
+                if path.is_dir() { folders.push(path) } else { found.push(path) }
+            }
+        }
+        found.sort();
+        found
+    }
+
+    #[test]
+    fn odd_and_damaged_files_end_in_a_picture_or_an_error_that_names_them() {
+        for set in ["data/exr-odd", "data/exr-damaged", "data/png-suite", "data/image-odd"] {
+            let Some(folder) = shared(set) else { continue };
+            for path in files_below(&folder) {
+                match read(&path, &ReadOptions::default()) {
+                    Ok(photo) => {
+                        let (w, h) = (photo.linear.width(), photo.linear.height());
+                        if std::env::var_os("LIST").is_some() {
+                            eprintln!(
+                                "OK {} {w}x{h} {:?} {:?}",
+                                path.display(),
+                                photo.encoding,
+                                photo.nonfinite
+                            );
+                        }
+                        assert!(photo.linear.pixels().iter().all(|l| l.is_finite()));
+                        assert_eq!(photo.clipped.pixels().len(), w * h);
+                    }
+                    Err(error) => {
+                        let message = error.to_string();
+                        if std::env::var_os("LIST").is_some() {
+                            eprintln!("ERR {message}");
+                        }
+                        let name = path.file_name().unwrap().to_string_lossy();
+                        assert!(message.contains(&*name), "{message}");
+                    }
+                }
+            }
+        }
+    }
 }

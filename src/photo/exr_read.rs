@@ -1,0 +1,396 @@
+//! OpenEXR files → samples: one flat layer, placed in the display window.
+//!
+//! The header is judged before a pixel is allocated, because a few flipped bytes can ask for tens of
+//! gigabytes. DWAA/DWAB are refused before anything is decompressed: their decoder trusts a length
+//! in the file and a hostile one ends the process (exr 1.74, zune-inflate; no panic to catch).
+//! Chunks are decompressed one by one with their own header checked against the chosen part.
+
+use std::collections::HashSet;
+use std::io::Cursor;
+use std::path::Path;
+
+use exr::block::UncompressedBlock;
+use exr::block::chunk::Chunk;
+use exr::block::reader::Reader;
+use exr::compression::Compression;
+use exr::math::Vec2;
+use exr::meta::BlockDescription;
+use exr::meta::attribute::{AttributeValue, SampleType};
+use exr::meta::header::Header;
+use half::f16;
+use rayon::prelude::*;
+
+use super::error::{MAX_SIDE, check_size, guarded};
+use super::{
+    Decoded, Encoding, EncodingSource, Facts, PhotoError, Primaries, ReadOptions, Samples, Transfer,
+};
+
+const FORMAT: &str = "EXR";
+
+/// Memory for decompressed chunks in flight.
+const CHUNKS_IN_FLIGHT_BYTES: usize = 256 << 20;
+
+pub(super) fn decode(
+    path: &Path,
+    bytes: &[u8],
+    options: &ReadOptions,
+) -> Result<Decoded, PhotoError> {
+    guarded(path, FORMAT, || {
+        let damaged = |e: exr::error::Error| match e {
+            exr::error::Error::NotSupported(what) => {
+                PhotoError::unsupported(path, what, "write it again with ZIP or PIZ compression")
+            }
+            other => PhotoError::damaged(path, FORMAT, other),
+        };
+        let reader = exr::block::read(Cursor::new(bytes), false).map_err(damaged)?;
+        let headers = reader.headers();
+        for header in headers {
+            check_window(path, header)?;
+        }
+        let picture = choose(path, headers, options.layer.as_deref())?;
+        let header = &headers[picture.part];
+        check_part(path, header, &picture, options)?;
+        let encoding = match options.colour {
+            Some(named) => named.encoding(),
+            None => encoding(path, header)?,
+        };
+        let facts = facts(header);
+
+        let display = header.shared_attributes.display_window;
+        let (width, height) = (display.size.width(), display.size.height());
+        let all_half = picture
+            .channels
+            .iter()
+            .all(|&c| header.channels.list[c].sample_type == SampleType::F16);
+        let channels = picture.channels.len();
+        let samples = if all_half {
+            let data = read_samples(path, reader, &picture, |_, raw| {
+                f16::from_ne_bytes([raw[0], raw[1]])
+            })?;
+            Samples::F16 { channels, data }
+        } else {
+            let data = read_samples(path, reader, &picture, |kind, raw| match kind {
+                SampleType::F16 => f16::from_ne_bytes([raw[0], raw[1]]).to_f32(),
+                SampleType::F32 => f32::from_ne_bytes([raw[0], raw[1], raw[2], raw[3]]),
+                SampleType::U32 => u32::from_ne_bytes([raw[0], raw[1], raw[2], raw[3]]) as f32,
+            })?;
+            Samples::F32 { channels, data }
+        };
+        Ok(Decoded { width, height, samples, facts, encoding })
+    })
+}
+
+/// The channels of a file that make up the wanted picture.
+struct Picture {
+    part: usize,
+    /// Indices into the part's channel list: grey, or R G B, and alpha if there is one.
+    channels: Vec<usize>,
+}
+
+/// Finds the main picture, or the layer that was asked for.
+fn choose(path: &Path, headers: &[Header], layer: Option<&str>) -> Result<Picture, PhotoError> {
+    if headers.iter().all(|h| h.deep) {
+        let remedy = "flatten it first (deep to flat) and read the flat file";
+        return Err(PhotoError::unsupported(path, "deep EXR", remedy));
+    }
+    let flat = || headers.iter().enumerate().filter(|(_, h)| !h.deep);
+    let part_name = |h: &Header| h.own_attributes.layer_name.as_ref().map(ToString::to_string);
+    let found = match layer {
+        Some(layer) => flat().find_map(|(part, h)| {
+            let of_part = part_name(h).filter(|_| headers.len() > 1).and_then(|name| {
+                match layer.strip_prefix(&name) {
+                    Some("") => picture_in(h, part, ""),
+                    Some(rest) => picture_in(h, part, rest.strip_prefix('.')?),
+                    None => None,
+                }
+            });
+            of_part.or_else(|| picture_in(h, part, layer))
+        }),
+        None => flat().find_map(|(part, h)| picture_in(h, part, "")).or_else(|| {
+            // No unnamed picture: take a named layer or a lone channel only if there is just one.
+            let layers: Vec<_> = flat()
+                .flat_map(|(part, h)| layer_names(h).into_iter().map(move |name| (part, h, name)))
+                .collect();
+            match layers.as_slice() {
+                [(part, h, name)] => picture_in(h, *part, name).or_else(|| lone_channel(h, *part)),
+                _ => None,
+            }
+        }),
+    };
+    found.ok_or_else(|| {
+        let names: Vec<String> = flat()
+            .flat_map(|(_, h)| h.channels.list.iter().map(|c| c.name.to_string()))
+            .take(40)
+            .collect();
+        let wanted =
+            layer.map_or("no R G B or Y main picture".into(), |l| format!("no layer {l:?}"));
+        let list = names.join(", ");
+        PhotoError::Picture {
+            path: path.into(),
+            cause: format!("has {wanted}; name one of its layers (channels: {list})"),
+        }
+    })
+}
+
+/// The text before the last dot of every channel name, each once.
+fn layer_names(header: &Header) -> Vec<String> {
+    let mut names: Vec<String> = Vec::new();
+    for channel in &header.channels.list {
+        let name = channel.name.to_string();
+        let layer = name.rsplit_once('.').map_or("", |(layer, _)| layer).to_string();
+        if !names.contains(&layer) {
+            names.push(layer);
+        }
+    }
+    names
+}
+
+/// R G B (A), Y (A) or X Y Z channels directly in `layer`.
+fn picture_in(header: &Header, part: usize, layer: &str) -> Option<Picture> {
+    let find = |suffix: &str| {
+        let name = if layer.is_empty() { suffix.into() } else { format!("{layer}.{suffix}") };
+        header.channels.list.iter().position(|c| c.name.eq_case_insensitive(&name))
+    };
+    let mut channels = match (find("R"), find("G"), find("B")) {
+        (Some(r), Some(g), Some(b)) => vec![r, g, b],
+        // A vector layer (N.X, N.Y, N.Z) can be looked at when it is asked for.
+        _ => match (find("X"), find("Y"), find("Z")) {
+            (Some(x), Some(y), Some(z)) if !layer.is_empty() => vec![x, y, z],
+            _ => vec![find("Y")?],
+        },
+    };
+    channels.extend(find("A"));
+    Some(Picture { part, channels })
+}
+
+fn lone_channel(header: &Header, part: usize) -> Option<Picture> {
+    (header.channels.list.len() == 1).then(|| Picture { part, channels: vec![0] })
+}
+
+/// Refuses windows no later sum could overflow on.
+fn check_window(path: &Path, header: &Header) -> Result<(), PhotoError> {
+    let size = header.layer_size;
+    let far = |v: i32| v.unsigned_abs() > 1 << 24;
+    let tiles_too_large = match header.blocks {
+        BlockDescription::Tiles(tiles) => {
+            tiles.tile_size.width() as u64 > MAX_SIDE || tiles.tile_size.height() as u64 > MAX_SIDE
+        }
+        BlockDescription::ScanLines => false,
+    };
+    let place = header.own_attributes.layer_position;
+    let display = header.shared_attributes.display_window.position;
+    if tiles_too_large || [place.0, place.1, display.0, display.1].into_iter().any(far) {
+        return Err(PhotoError::damaged(path, FORMAT, "absurd data window or tile size"));
+    }
+    check_size(path, (size.width() as u64, size.height() as u64), 1, u64::MAX)
+}
+
+/// Refuses what would be decompressed wrongly, dangerously or at too great a size.
+fn check_part(
+    path: &Path,
+    header: &Header,
+    picture: &Picture,
+    options: &ReadOptions,
+) -> Result<(), PhotoError> {
+    if matches!(header.compression, Compression::DWAA(_) | Compression::DWAB(_)) {
+        let remedy = "its decoder can be crashed by a damaged file; write the file with ZIP or PIZ";
+        return Err(PhotoError::unsupported(path, "DWAA/DWAB compression", remedy));
+    }
+    if header.channels.list.iter().any(|c| c.sampling != Vec2(1, 1)) {
+        let remedy = "write the file as RGB without chroma subsampling";
+        return Err(PhotoError::unsupported(path, "luminance-chroma with subsampling", remedy));
+    }
+    let has = |name: &str| header.channels.list.iter().any(|c| c.name == *name);
+    if picture.channels.len() < 3 && has("RY") && has("BY") {
+        let remedy = "write the file as RGB";
+        return Err(PhotoError::unsupported(path, "luminance-chroma", remedy));
+    }
+    let display = header.shared_attributes.display_window.size;
+    let bytes = 4 * picture.channels.len() as u64;
+    check_size(path, (display.width() as u64, display.height() as u64), bytes, options.max_bytes)?;
+    let size = header.layer_size;
+    let bytes = header.channels.list.len() as u64 * 4;
+    check_size(path, (size.width() as u64, size.height() as u64), bytes, options.max_bytes)
+}
+
+/// Decompresses the part's largest level into interleaved samples of the display window.
+fn read_samples<T: Copy + Default>(
+    path: &Path,
+    reader: Reader<Cursor<&[u8]>>,
+    picture: &Picture,
+    sample: impl Fn(SampleType, &[u8]) -> T,
+) -> Result<Vec<T>, PhotoError> {
+    let damaged = |e: exr::error::Error| PhotoError::damaged(path, FORMAT, e);
+    let meta = reader.meta_data().clone();
+    let header = &meta.headers[picture.part];
+    let part = picture.part;
+    let mut chunks = reader
+        .filter_chunks(false, |_, _, block| block.layer == part && block.level == Vec2(0, 0))
+        .map_err(damaged)?;
+
+    let mut canvas = Canvas::new(header, picture);
+    let in_flight = (CHUNKS_IN_FLIGHT_BYTES / header.max_block_byte_size().max(1)).clamp(1, 64);
+    loop {
+        let batch: Vec<Chunk> =
+            chunks.by_ref().take(in_flight).collect::<Result<_, _>>().map_err(damaged)?;
+        if batch.is_empty() {
+            break;
+        }
+        // A chunk says itself to which part it belongs: another part may be DWA or deep.
+        if batch.iter().any(|chunk| chunk.layer_index != part) {
+            return Err(PhotoError::damaged(path, FORMAT, "a chunk belongs to another part"));
+        }
+        let blocks: Vec<UncompressedBlock> = batch
+            .into_par_iter()
+            .map(|chunk| UncompressedBlock::decompress_chunk(chunk, &meta, false))
+            .collect::<Result<_, _>>()
+            .map_err(damaged)?;
+        for block in &blocks {
+            canvas.paste(block, header, &sample);
+        }
+    }
+    if canvas.pasted_pixels != header.layer_size.area() {
+        return Err(PhotoError::damaged(path, FORMAT, "blocks of pixels are missing"));
+    }
+    Ok(canvas.data)
+}
+
+/// The display window being filled.
+struct Canvas<T> {
+    data: Vec<T>,
+    width: usize,
+    height: usize,
+    /// Column and row of the data window's corner in the display window; may be negative.
+    offset: (i64, i64),
+    /// Place of each file channel in a pixel of `data`.
+    slots: Vec<Option<usize>>,
+    channels: usize,
+    seen: HashSet<(usize, usize)>,
+    pasted_pixels: usize,
+}
+
+impl<T: Copy + Default> Canvas<T> {
+    fn new(header: &Header, picture: &Picture) -> Self {
+        let display = header.shared_attributes.display_window;
+        let place = header.own_attributes.layer_position;
+        let (width, height) = (display.size.width(), display.size.height());
+        let channels = picture.channels.len();
+        let slots = (0..header.channels.list.len())
+            .map(|c| picture.channels.iter().position(|&p| p == c))
+            .collect();
+        Self {
+            data: vec![T::default(); width * height * channels],
+            width,
+            height,
+            offset: (
+                i64::from(place.0) - i64::from(display.position.0),
+                i64::from(place.1) - i64::from(display.position.1),
+            ),
+            slots,
+            channels,
+            seen: HashSet::new(),
+            pasted_pixels: 0,
+        }
+    }
+
+    fn paste(
+        &mut self,
+        block: &UncompressedBlock,
+        header: &Header,
+        sample: &impl Fn(SampleType, &[u8]) -> T,
+    ) {
+        let corner = block.index.pixel_position;
+        if block.index.level != Vec2(0, 0) || !self.seen.insert((corner.0, corner.1)) {
+            return;
+        }
+        self.pasted_pixels += block.index.pixel_size.area();
+        for line in block.lines(&header.channels) {
+            let Some(slot) = self.slots[line.location.channel] else { continue };
+            let kind = header.channels.list[line.location.channel].sample_type;
+            let y = line.location.position.1 as i64 + self.offset.1;
+            if y < 0 || y >= self.height as i64 {
+                continue;
+            }
+            let start = line.location.position.0 as i64 + self.offset.0;
+            let row = y as usize * self.width;
+            for (i, raw) in line.value.chunks_exact(kind.bytes_per_sample()).enumerate() {
+                let x = start + i as i64;
+                if (0..self.width as i64).contains(&x) {
+                    self.data[(row + x as usize) * self.channels + slot] = sample(kind, raw);
+                }
+            }
+        }
+    }
+}
+
+/// What the header says of colour: ACES container, interop ID, chromaticities, else linear Rec.709.
+fn encoding(path: &Path, header: &Header) -> Result<Encoding, PhotoError> {
+    let attribute = |name: &str| {
+        let of = |map: &std::collections::HashMap<_, AttributeValue>| {
+            map.get(&exr::meta::attribute::Text::from(name)).cloned()
+        };
+        of(&header.own_attributes.other).or_else(|| of(&header.shared_attributes.other))
+    };
+    let linear = |primaries, source| Encoding { transfer: Transfer::Linear, primaries, source };
+    if let Some(AttributeValue::I32(1)) = attribute("acesImageContainerFlag") {
+        return Ok(linear(Primaries::Aces2065, EncodingSource::Header));
+    }
+    if let Some(AttributeValue::Text(id)) = attribute("colorInteropID") {
+        let known = match id.to_string().as_str() {
+            "lin_rec709_scene" | "lin_rec709_display" => {
+                Some((Transfer::Linear, Primaries::Rec709))
+            }
+            "lin_p3d65_scene" => Some((Transfer::Linear, Primaries::DisplayP3)),
+            "lin_adobergb_scene" => Some((Transfer::Linear, Primaries::AdobeRgb)),
+            "lin_ap1_scene" => Some((Transfer::Linear, Primaries::AcesCg)),
+            "lin_ap0_scene" => Some((Transfer::Linear, Primaries::Aces2065)),
+            "srgb_rec709_scene" => Some((Transfer::Srgb, Primaries::Rec709)),
+            "data" | "unknown" => None,
+            other => {
+                let found = format!("colorInteropID {other:?} is not known");
+                return Err(PhotoError::UnknownColour { path: path.into(), found });
+            }
+        };
+        if let Some((transfer, primaries)) = known {
+            return Ok(Encoding { transfer, primaries, source: EncodingSource::Header });
+        }
+    }
+    Ok(match header.shared_attributes.chromaticities {
+        Some(c) => linear(
+            Primaries::recognise([
+                c.red.0, c.red.1, c.green.0, c.green.1, c.blue.0, c.blue.1, c.white.0, c.white.1,
+            ]),
+            EncodingSource::Header,
+        ),
+        None => linear(Primaries::Rec709, EncodingSource::FormatRule),
+    })
+}
+
+fn facts(header: &Header) -> Facts {
+    let own = &header.own_attributes;
+    let other = |name: &str| own.other.get(&exr::meta::attribute::Text::from(name));
+    let text = |name| match other(name) {
+        Some(AttributeValue::Text(text)) => Some(text.to_string()),
+        _ => None,
+    };
+    let number = |name| match other(name) {
+        Some(AttributeValue::F32(value)) => positive(*value),
+        _ => None,
+    };
+    let positive_attribute = |value: Option<f32>| value.and_then(positive);
+    Facts {
+        exposure_s: positive_attribute(own.exposure),
+        f_number: positive_attribute(own.aperture),
+        iso: positive_attribute(own.iso_speed),
+        focal_mm: number("pinholeFocalLength").or_else(|| number("nominalFocalLength")),
+        focal_35mm: None,
+        orientation: 1,
+        make: text("cameraMake"),
+        model: text("cameraModel"),
+        lens_model: text("lensModel"),
+    }
+}
+
+fn positive(value: f32) -> Option<f64> {
+    (value.is_finite() && value > 0.0).then_some(f64::from(value))
+}
