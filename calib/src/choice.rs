@@ -41,6 +41,14 @@ fn shapes() -> Vec<(&'static str, Shape)> {
         moves: moves.iter().map(|m| m.to_vec()).collect(),
         bow: false,
     };
+    let fisheye = |coefficients: usize| Shape {
+        model: Model::KannalaBrandt,
+        moves: [vec![0, 1], vec![2], vec![3]]
+            .into_iter()
+            .chain((4..4 + coefficients).map(|k| vec![k]))
+            .collect(),
+        bow: false,
+    };
     let f: &[usize] = &[0, 1];
     let (cx, cy): (&[usize], &[usize]) = (&[2], &[3]);
     let (k1, k2, p1, p2, k3): (&[usize], &[usize], &[usize], &[usize], &[usize]) =
@@ -54,14 +62,10 @@ fn shapes() -> Vec<(&'static str, Shape)> {
         ("f c k1 k2 p1 p2", brown(&[f, cx, cy, k1, k2, p1, p2])),
         ("f c k1 k2 p1 p2 k3", brown(&[f, cx, cy, k1, k2, p1, p2, k3])),
         ("rational", brown(&[f, cx, cy, k1, k2, p1, p2, k3, k4, k5, k6])),
-        (
-            "Kannala-Brandt",
-            Shape {
-                model: Model::KannalaBrandt,
-                moves: vec![vec![0, 1], vec![2], vec![3], vec![4], vec![5], vec![6], vec![7]],
-                bow: false,
-            },
-        ),
+        ("Kannala-Brandt k1", fisheye(1)),
+        ("Kannala-Brandt k1 k2", fisheye(2)),
+        ("Kannala-Brandt k1 k2 k3", fisheye(3)),
+        ("Kannala-Brandt k1 k2 k3 k4", fisheye(4)),
     ]
 }
 
@@ -119,42 +123,34 @@ pub(crate) fn fit_all(
         // One and two views cannot tell a principal point from a tilt.
         let ladder = shapes().into_iter().filter(|(_, s)| s.model == model);
         for (name, shape) in ladder.filter(|(_, s)| views.len() > 2 || s.moves.len() <= 2) {
-            if model == Model::KannalaBrandt {
-                // The high coefficients run away from a poor focal length: free them in two steps.
-                let gentle = Shape { moves: shape.moves[..5].to_vec(), ..shape.clone() };
-                if let Some(fit) = bundle::adjust(&gentle, &extent, views, start.clone()) {
-                    start = fit.state;
-                }
-            }
             let Some(fit) = bundle::adjust(&shape, &extent, views, start.clone()) else { continue };
             start = fit.state.clone();
             fits.push((name.to_string(), shape, fit));
         }
     }
 
-    // Every rung again with fx and fy apart, with a bowed board, and with both.
-    let variants: Vec<(String, Shape, State)> = fits
+    // Every rung again with fx and fy apart; then the best few on a bowed board.
+    let aspects = fits
         .iter()
         .filter(|(_, shape, _)| shape.moves.len() >= 4)
-        .flat_map(|(name, shape, fit)| {
-            let aspect = with_aspect(shape);
-            let bow = |s: &Shape| Shape { bow: true, ..s.clone() };
-            [
-                (format!("{name}, aspect"), aspect.clone()),
-                (format!("{name}, bow"), bow(shape)),
-                (format!("{name}, aspect, bow"), bow(&aspect)),
-            ]
-            .map(|(n, s)| (n, s, fit.state.clone()))
+        .map(|(name, shape, fit)| {
+            (format!("{name}, aspect"), with_aspect(shape), fit.state.clone())
         })
         .collect();
-    let more: Vec<_> = variants
-        .into_par_iter()
-        .filter_map(|(name, shape, start)| {
-            let fit = bundle::adjust(&shape, &extent, views, start)?;
-            Some((name, shape, fit))
+    fits.extend(adjust_all(aspects, &extent, views));
+    let n = 2.0 * views.iter().map(|v| v.pixels.len()).sum::<usize>() as f64;
+    let mut best: Vec<&(String, Shape, Fit)> =
+        fits.iter().filter(|(_, shape, _)| shape.moves.len() >= 4).collect();
+    best.sort_by(|a, b| bic(&a.1, &a.2, n).total_cmp(&bic(&b.1, &b.2, n)));
+    let bows = best
+        .iter()
+        .take(BOWED_RUNGS)
+        .map(|(name, shape, fit)| {
+            let bowed = Shape { bow: true, ..shape.clone() };
+            (format!("{name}, bow"), bowed, fit.state.clone())
         })
         .collect();
-    fits.extend(more);
+    fits.extend(adjust_all(bows, &extent, views));
 
     let mut rungs: Vec<Rung> = fits
         .into_iter()
@@ -162,6 +158,28 @@ pub(crate) fn fit_all(
         .collect();
     rungs.sort_by_key(|r| r.shape.n_free());
     Ok(rungs)
+}
+
+/// How many of the best rungs are tried on a bowed board.
+const BOWED_RUNGS: usize = 4;
+
+fn adjust_all(
+    variants: Vec<(String, Shape, State)>,
+    extent: &BoardExtent,
+    views: &[View],
+) -> Vec<(String, Shape, Fit)> {
+    variants
+        .into_par_iter()
+        .filter_map(|(name, shape, start)| {
+            let fit = bundle::adjust(&shape, extent, views, start)?;
+            Some((name, shape, fit))
+        })
+        .collect()
+}
+
+/// Bayesian information criterion of a fit to `n` coordinates.
+fn bic(shape: &Shape, fit: &Fit, n: f64) -> f64 {
+    n * (fit.sum_squares() / n).max(SIGMA_FLOOR_PX.powi(2)).ln() + shape.n_free() as f64 * n.ln()
 }
 
 /// Covariances and criteria of a fit; `None` if the views do not determine it.
@@ -194,8 +212,7 @@ fn judge(
         [free[(g - 2, g - 2)].sqrt(), free[(g - 1, g - 1)].sqrt()]
     });
     let projection = projection::sigma(lens, &covariance, width, height, hull)?;
-    let bic = n * (fit.sum_squares() / n).max(SIGMA_FLOOR_PX.powi(2)).ln()
-        + shape.n_free() as f64 * n.ln();
+    let bic = bic(&shape, &fit, n);
     let covers = lens.covers(width, height);
     Some(Rung {
         name,
@@ -304,15 +321,18 @@ pub(crate) fn choose(
     const AGREE_PX: f64 = 0.2;
     const NEARLY: f64 = 1.2;
     // A model that folds inside the frame stands only if none that covers it fits nearly as well.
-    let usable =
-        |r: &Rung| r.covers || !rungs.iter().any(|o| o.covers && o.sigma_px < NEARLY * r.sigma_px);
+    let certain_enough = |r: &Rung| r.projection.is_within(most_sigma_px);
+    let usable = |r: &Rung| {
+        let instead = |o: &Rung| o.covers && certain_enough(o) && o.sigma_px < NEARLY * r.sigma_px;
+        r.covers || !rungs.iter().any(instead)
+    };
     let lowest = |keep: &dyn Fn(&Rung) -> bool| {
         (0..rungs.len())
             .filter(|&i| usable(&rungs[i]) && keep(&rungs[i]))
             .min_by(|&a, &b| rungs[a].bic.total_cmp(&rungs[b].bic))
     };
     let free = lowest(&|_| true)?;
-    let certain = lowest(&|r: &Rung| r.projection.mean_px <= most_sigma_px)?;
+    let certain = lowest(&certain_enough)?;
     let dropped = certain != free;
     if dropped {
         return Some(Choice { index: certain, disagrees: None, dropped });

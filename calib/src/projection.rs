@@ -16,10 +16,23 @@ pub const GRID: [usize; 2] = [17, 11];
 pub struct ProjectionSigma {
     /// Row-major over [`GRID`], from the first to the last pixel centre; `None` where the model sees nothing.
     pub grid_px: Vec<Option<f64>>,
+    /// Mean over the whole frame, as far as the model sees it.
     pub mean_px: f64,
     pub max_px: f64,
+    /// Mean inside the hull of all corners.
+    pub covered_px: f64,
     /// Share of the frame that lies outside the hull of all corners.
     pub extrapolated: f64,
+}
+
+impl ProjectionSigma {
+    /// Inside the corners within `most_px`, and over the frame within four times that.
+    ///
+    /// What lies beyond every corner is extrapolated and only warned of: a fisheye's dead corners would
+    /// otherwise condemn every lens that is honest about them.
+    pub(crate) fn is_within(&self, most_px: f64) -> bool {
+        self.covered_px <= most_px && self.mean_px <= 4.0 * most_px
+    }
 }
 
 /// Pixels of the grid.
@@ -76,9 +89,18 @@ pub(crate) fn sigma(
         .map(|line| line.map(|l| (variance(2 * l) + variance(2 * l + 1)).sqrt()))
         .collect();
     let known: Vec<f64> = grid_px.iter().flatten().copied().collect();
+    let covered: Vec<f64> = places
+        .iter()
+        .zip(&grid_px)
+        .filter(|&(&p, _)| inside(hull, p))
+        .filter_map(|(_, s)| *s)
+        .collect();
     let outside = places.iter().filter(|&&p| !inside(hull, p)).count();
+    let mean = |all: &[f64]| all.iter().sum::<f64>() / all.len() as f64;
     Some(ProjectionSigma {
-        mean_px: known.iter().sum::<f64>() / known.len() as f64,
+        // A hull between the grid's points has no mean of its own.
+        covered_px: if covered.is_empty() { mean(&known) } else { mean(&covered) },
+        mean_px: mean(&known),
         max_px: known.iter().copied().fold(0.0, f64::max),
         extrapolated: outside as f64 / places.len() as f64,
         grid_px,
