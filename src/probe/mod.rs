@@ -1,26 +1,50 @@
 //! Light probes → lat-long panorama.
 //!
-//! [`Radiance`](crate::bracket::Radiance) + [`Camera`](crate::camera::Camera) → [`Panorama`]: mirror
-//! ball, fisheye, angular map and lat-long. Start with [`Panorama`]. This room never lights anything.
+//! [`Radiance`](crate::bracket::Radiance) + [`Camera`](crate::camera::Camera) → [`Panorama`].
+//! A mirror ball goes through [`find`] (where is the ball?), [`rim`] (its tangent cone),
+//! [`ball`] (exact reflection at finite distance) and [`unwrap`]; fisheyes, angular maps and
+//! lat-long pictures are [`mapping::Mapping`]s; all of them meet in [`resample`].
+//! Start with [`Panorama`] and [`unwrap::unwrap_ball`]. This room never lights anything, never
+//! merges a bracket, and never takes the direction to a ball from anything but its rim.
 
-use glam::{DQuat, DVec3};
+pub mod ball;
+pub mod clipped;
+pub mod fill;
+pub mod mapping;
+pub mod panorama;
+pub mod resample;
+pub mod rim;
+pub mod unwrap;
 
-use crate::bracket::Validity;
-use crate::conventions::Rgb;
-use crate::photo::Image;
+pub use self::ball::Ball;
+pub use self::clipped::{ClippedRegion, clipped_regions};
+pub use self::panorama::Panorama;
+pub use self::rim::Rim;
 
-/// Light arriving at a place from every direction, as a lat-long picture (`conventions`).
-#[derive(Clone, Debug)]
-pub struct Panorama {
-    /// Radiance in the plate's own scale, 2N × N texels.
-    pub radiance: Image<Rgb>,
-    /// Variance of `radiance` per channel.
-    pub variance: Image<Rgb>,
-    pub validity: Image<Validity>,
-    /// Share of each texel that the probe really saw, 0…1.
-    pub coverage: Image<f32>,
-    /// Takes a direction of the picture's axes to the world.
-    pub world_from_panorama: DQuat,
-    /// Where in the world the light was measured, metres.
-    pub place: DVec3,
+use std::path::PathBuf;
+
+/// Why a probe cannot become a panorama.
+#[derive(Debug, thiserror::Error)]
+pub enum ProbeError {
+    #[error(
+        "no mirror ball found: {reason}; give three numbers as a hint: the ball's centre u, v and \
+         radius r in pixels (probe.ball.hint_px or --hint u,v,r)"
+    )]
+    NoBall { reason: String },
+    #[error(
+        "only {found:.0} % of the edge points lie on one rim, {needed:.0} % are needed: the rim is \
+         hidden or something else was taken for it; give a hint (centre u, v and radius r in pixels)"
+    )]
+    FewInliers { found: f64, needed: f64 },
+    #[error(
+        "only {arc_deg:.0}° of the ball's rim can be seen, 45° are needed: frame the whole ball or \
+         remove what hides its edge"
+    )]
+    ShortArc { arc_deg: f64 },
+    #[error("{what}: {found} is not {expected}")]
+    Value { what: &'static str, found: String, expected: &'static str },
+    #[error("{}: {width} × {height} is not a lat-long picture: the width must be twice the height; if it is an angular map or a cube, say so (mapping = \"angular\")", path.display())]
+    NotLatLong { path: PathBuf, width: usize, height: usize },
+    #[error("{}: {n} pixels are not finite, the first at ({x}, {y}); repair the picture (NaN and infinity poison every sum of light)", path.display())]
+    NotFinite { path: PathBuf, n: usize, x: usize, y: usize },
 }

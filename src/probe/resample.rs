@@ -1,0 +1,512 @@
+//! Any probe picture → lat-long, conserving light.
+//!
+//! A map of light is a measure: ∫L dω and ∫L ω dω must survive. Texels gather `S × S` bilinear
+//! samples, S = ⌈2 · source pixels per texel⌉ up to 8, each weighed by its exact strip of solid
+//! angle; one sample alone loses up to 31 % of a lamp (methods-capture C5). What is brighter than
+//! 50 medians (lamps, the sun) is cut off there first and its excess is scattered forward, flux by
+//! flux, over the tent that bilinear interpolation would give it: exact whatever the texels' size.
+//!
+//! Samples never mix validity classes: of the four neighbours only those in the nearest one's group
+//! count. A texel's class is the worst it mixed, but [`Validity::LowerBound`] outlives all others:
+//! a clipped lamp must never look measured.
+
+use glam::{DMat3, DVec2, DVec3};
+use rayon::prelude::*;
+
+use super::mapping::Mapping;
+use super::panorama::Panorama;
+use crate::bracket::{Radiance, Validity};
+use crate::conventions::{
+    Rgb, lat_long_direction, lat_long_pixel, lat_long_solid_angle, luminance,
+};
+use crate::photo::Image;
+
+/// Brighter than this many medians is a lamp: its flux is scattered forward.
+const LAMP_MEDIANS: f32 = 50.0;
+
+/// Largest number of samples along a texel's side.
+const MAX_SIDE: usize = 8;
+
+/// `source`, seen through `mapping`, as a lat-long of `width` × `width / 2` texels.
+///
+/// `mapping_from_panorama` takes a direction of the panorama's axes to the mapping's. Texels that
+/// the picture does not show are black, [`Validity::Filled`] and of coverage 0.
+pub fn to_lat_long<M: Mapping + ?Sized>(
+    source: &Radiance,
+    mapping: &M,
+    mapping_from_panorama: DMat3,
+    width: usize,
+) -> Panorama {
+    let gatherer = Gatherer::new(source, mapping, mapping_from_panorama, width);
+    let mut panorama = gatherer.gather();
+    scatter_lamps(&gatherer, &mut panorama);
+    panorama
+}
+
+/// A source picture ready to be sampled for texels of a lat-long.
+pub(super) struct Gatherer<'a, M: Mapping + ?Sized> {
+    source: &'a Radiance,
+    mapping: &'a M,
+    turn: DMat3,
+    width: usize,
+    usable: Image<bool>,
+    /// Luminance above which a pixel is a lamp; infinite in a black picture.
+    lamp_level: f32,
+}
+
+/// What one texel mixed.
+pub(super) struct Texel {
+    pub radiance: Rgb,
+    pub variance: Rgb,
+    pub validity: Validity,
+    pub coverage: f32,
+}
+
+impl<'a, M: Mapping + ?Sized> Gatherer<'a, M> {
+    pub(super) fn new(source: &'a Radiance, mapping: &'a M, turn: DMat3, width: usize) -> Self {
+        let (w, h) = (source.mean.width(), source.mean.height());
+        let rows: Vec<Vec<bool>> = (0..h)
+            .into_par_iter()
+            .map(|y| (0..w).map(|x| mapping.covers(x, y)).collect())
+            .collect();
+        let usable = Image::from_fn(w, h, |x, y| rows[y][x]);
+        let lamp_level = LAMP_MEDIANS * median_luminance(source, &usable);
+        let lamp_level = if lamp_level > 0.0 { lamp_level } else { f32::INFINITY };
+        Self { source, mapping, turn, width, usable, lamp_level }
+    }
+
+    fn height(&self) -> usize {
+        self.width / 2
+    }
+
+    /// All texels, lamps cut off at the lamp level.
+    fn gather(&self) -> Panorama {
+        let (w, h) = (self.width, self.height());
+        let rows: Vec<Vec<Texel>> = (0..h)
+            .into_par_iter()
+            .map(|y| {
+                let (above, below) = (self.corners(y), self.corners(y + 1));
+                let mut taps = Taps::default();
+                (0..w)
+                    .map(|x| {
+                        let cell = [above[x], above[x + 1], below[x], below[x + 1]];
+                        self.texel(x, y, cell, &mut taps)
+                    })
+                    .collect()
+            })
+            .collect();
+        let mut panorama = Panorama::from_radiance(Image::filled(w, h, Rgb::ZERO));
+        for (y, row) in rows.into_iter().enumerate() {
+            for (x, texel) in row.into_iter().enumerate() {
+                panorama.radiance[(x, y)] = texel.radiance;
+                panorama.variance[(x, y)] = texel.variance;
+                panorama.validity[(x, y)] = texel.validity;
+                panorama.coverage[(x, y)] = texel.coverage;
+            }
+        }
+        panorama
+    }
+
+    /// The single texel (`x`, `y`).
+    pub(super) fn one(&self, x: usize, y: usize) -> Texel {
+        let corner = |dx: f64, dy: f64| self.locate(x as f64 - 0.5 + dx, y as f64 - 0.5 + dy);
+        let cell = [corner(0.0, 0.0), corner(1.0, 0.0), corner(0.0, 1.0), corner(1.0, 1.0)];
+        self.texel(x, y, cell, &mut Taps::default())
+    }
+
+    /// Source pixels of the texel corners along the upper edge of row `y`.
+    fn corners(&self, y: usize) -> Vec<Option<DVec2>> {
+        (0..=self.width).map(|x| self.locate(x as f64 - 0.5, y as f64 - 0.5)).collect()
+    }
+
+    /// Source pixel of a point of the panorama.
+    fn locate(&self, x: f64, y: f64) -> Option<DVec2> {
+        let direction = lat_long_direction(DVec2::new(x, y), self.width, self.height());
+        self.mapping.pixel(self.turn * direction)
+    }
+
+    fn texel(&self, x: usize, y: usize, cell: [Option<DVec2>; 4], taps: &mut Taps) -> Texel {
+        taps.clear();
+        let smooth = self.smooth_cell(cell);
+        let side = smooth.map_or(MAX_SIDE, |c| samples_along(c));
+        let mut asked = 0.0;
+        for j in 0..side {
+            let v = (j as f64 + 0.5) / side as f64;
+            let weight =
+                lat_long_solid_angle(y * side + j, self.width * side, self.height() * side);
+            for i in 0..side {
+                let u = (i as f64 + 0.5) / side as f64;
+                asked += weight;
+                // The map is smooth within a cell of a pixel or few: interpolate it.
+                let place = match smooth {
+                    Some([a, b, c, d]) => Some(a.lerp(b, u).lerp(c.lerp(d, u), v)),
+                    None => self.locate(x as f64 - 0.5 + u, y as f64 - 0.5 + v),
+                };
+                if let Some(place) = place {
+                    self.tap(place, weight, taps);
+                }
+            }
+        }
+        self.mix(taps, asked)
+    }
+
+    /// The cell's corners if the map may be interpolated between them.
+    fn smooth_cell(&self, cell: [Option<DVec2>; 4]) -> Option<[DVec2; 4]> {
+        let [a, mut b, mut c, mut d] = [cell[0]?, cell[1]?, cell[2]?, cell[3]?];
+        if self.mapping.wraps() {
+            let w = self.source.mean.width() as f64;
+            for corner in [&mut b, &mut c, &mut d] {
+                corner.x -= ((corner.x - a.x) / w).round() * w;
+            }
+        }
+        // Wider cells lie near a pole or rim of the source, where the map bends.
+        let near = |p: DVec2| (p - a).length() < 16.0;
+        (near(b) && near(c) && near(d)).then_some([a, b, c, d])
+    }
+
+    /// Adds the bilinear weights of one sample at `place`.
+    fn tap(&self, place: DVec2, weight: f64, taps: &mut Taps) {
+        let corner = place.floor();
+        let f = place - corner;
+        let weights = [(1.0 - f.x) * (1.0 - f.y), f.x * (1.0 - f.y), (1.0 - f.x) * f.y, f.x * f.y];
+        let mut found = [None; 4];
+        for (k, slot) in found.iter_mut().enumerate() {
+            *slot = self.index(corner.x as i64 + (k & 1) as i64, corner.y as i64 + (k >> 1) as i64);
+        }
+        // The nearest usable neighbour decides the class.
+        let mut nearest: Option<usize> = None;
+        for k in 0..4 {
+            if found[k].is_some() && nearest.is_none_or(|n| weights[k] > weights[n]) {
+                nearest = Some(k);
+            }
+        }
+        let Some(nearest) = nearest.and_then(|n| found[n]) else { return };
+        let group = group(self.source.validity.pixels()[nearest]);
+        let same = |i: usize| group == self::group(self.source.validity.pixels()[i]);
+        let sum = |of: &dyn Fn(usize) -> bool| -> f64 {
+            (0..4).filter(|&k| found[k].is_some_and(of)).map(|k| weights[k]).sum()
+        };
+        // Past the last usable pixels would be guessing.
+        if sum(&|_| true) < 0.5 {
+            return;
+        }
+        let total = sum(&same);
+        for k in 0..4 {
+            if let Some(index) = found[k].filter(|&i| same(i)) {
+                taps.add(index, weight * weights[k] / total);
+            }
+        }
+        taps.seen += weight;
+    }
+
+    /// Index of a usable pixel, wrapped where the picture wraps.
+    fn index(&self, mut x: i64, mut y: i64) -> Option<usize> {
+        let (w, h) = (self.usable.width() as i64, self.usable.height() as i64);
+        if self.mapping.wraps() {
+            if y < 0 || y >= h {
+                x += w / 2;
+                y = y.clamp(0, h - 1);
+            }
+            x = x.rem_euclid(w);
+        }
+        let inside = x >= 0 && x < w && y >= 0 && y < h;
+        (inside && self.usable[(x as usize, y as usize)]).then_some((y * w + x) as usize)
+    }
+
+    /// The texel that the taps add up to.
+    fn mix(&self, taps: &Taps, asked: f64) -> Texel {
+        let mut texel = Texel {
+            radiance: Rgb::ZERO,
+            variance: Rgb::ZERO,
+            validity: Validity::Filled,
+            coverage: (taps.seen / asked) as f32,
+        };
+        if taps.seen <= 0.0 {
+            texel.coverage = 0.0;
+            return texel;
+        }
+        let mut validity = Validity::Measured;
+        for &(index, weight) in &taps.weights {
+            let share = (weight / taps.seen) as f32;
+            texel.radiance += self.below_lamp(self.source.mean.pixels()[index]) * share;
+            texel.variance += self.source.variance.pixels()[index] * (share * share);
+            validity = worst(validity, self.source.validity.pixels()[index]);
+        }
+        texel.validity = validity;
+        texel
+    }
+
+    /// A pixel's radiance, cut off at the lamp level with its colour kept.
+    fn below_lamp(&self, l: Rgb) -> Rgb {
+        let y = luminance(l);
+        if y > self.lamp_level { l * (self.lamp_level / y) } else { l }
+    }
+}
+
+/// Weights of source pixels in one texel.
+#[derive(Default)]
+struct Taps {
+    weights: Vec<(usize, f64)>,
+    seen: f64,
+}
+
+impl Taps {
+    fn clear(&mut self) {
+        self.weights.clear();
+        self.seen = 0.0;
+    }
+
+    fn add(&mut self, index: usize, weight: f64) {
+        // A texel's samples share a handful of pixels, met last first.
+        match self.weights.iter_mut().rev().find(|(i, _)| *i == index) {
+            Some((_, w)) => *w += weight,
+            None => self.weights.push((index, weight)),
+        }
+    }
+}
+
+/// Samples along a texel's side: two for each source pixel it spans.
+fn samples_along([a, b, c, d]: [DVec2; 4]) -> usize {
+    let span = [(a, b), (c, d), (a, c), (b, d)]
+        .iter()
+        .map(|(p, q)| (*p - *q).length())
+        .fold(0.0, f64::max);
+    ((2.0 * span).ceil() as usize).clamp(1, MAX_SIDE)
+}
+
+/// Classes that may be interpolated with each other.
+fn group(class: Validity) -> u8 {
+    match class {
+        Validity::Measured | Validity::Single => 0,
+        other => other as u8,
+    }
+}
+
+/// The class of a mixture: the worst, but a lower bound outlives all.
+pub fn worst(a: Validity, b: Validity) -> Validity {
+    if a == Validity::LowerBound || b == Validity::LowerBound {
+        Validity::LowerBound
+    } else {
+        a.max(b)
+    }
+}
+
+/// Median luminance of the usable pixels.
+fn median_luminance(source: &Radiance, usable: &Image<bool>) -> f32 {
+    let mut values: Vec<f32> = source
+        .mean
+        .pixels()
+        .iter()
+        .zip(usable.pixels())
+        .filter(|(_, usable)| **usable)
+        .map(|(l, _)| luminance(*l))
+        .collect();
+    if values.is_empty() {
+        return 0.0;
+    }
+    let middle = values.len() / 2;
+    *values.select_nth_unstable_by(middle, f32::total_cmp).1
+}
+
+/// Adds what lamps shine above the lamp level, each pixel's flux exactly.
+fn scatter_lamps<M: Mapping + ?Sized>(gatherer: &Gatherer<M>, panorama: &mut Panorama) {
+    let source = &gatherer.source.mean;
+    // Rows in parallel, summed in their order: the same bytes for any number of threads.
+    let deposits: Vec<Vec<(usize, DVec3)>> = (0..source.height())
+        .into_par_iter()
+        .map(|y| {
+            let mut row = Vec::new();
+            for x in 0..source.width() {
+                let l = source[(x, y)];
+                if gatherer.usable[(x, y)] && luminance(l) > gatherer.lamp_level {
+                    gatherer.scatter(x, y, l - gatherer.below_lamp(l), &mut row);
+                }
+            }
+            row
+        })
+        .collect();
+    for (index, flux) in deposits.into_iter().flatten() {
+        let (x, y) = (index % gatherer.width, index / gatherer.width);
+        let radiance = (flux / panorama.solid_angle(y)).as_vec3();
+        panorama.radiance[(x, y)] += radiance;
+    }
+}
+
+impl<M: Mapping + ?Sized> Gatherer<'_, M> {
+    /// Spreads one pixel's `excess` radiance over the texels under its tent.
+    fn scatter(&self, x: usize, y: usize, excess: Rgb, deposits: &mut Vec<(usize, DVec3)>) {
+        let centre = DVec2::new(x as f64, y as f64);
+        let Some(solid_angle) = self.mapping.solid_angle(centre) else { return };
+        let back = self.turn.transpose();
+        // Enough points that neighbours land less than half a texel apart.
+        let texel = 2.0 * std::f64::consts::PI / self.width as f64;
+        let side = ((4.0 * solid_angle.sqrt() / texel).ceil() as usize).clamp(4, 64);
+        let mut landed: Vec<(usize, f64)> = Vec::new();
+        let mut total = 0.0;
+        for j in 0..side {
+            for i in 0..side {
+                let offset = DVec2::new(i as f64 + 0.5, j as f64 + 0.5) * (2.0 / side as f64) - 1.0;
+                let weight = (1.0 - offset.x.abs()) * (1.0 - offset.y.abs());
+                let Some(direction) = self.mapping.direction(centre + offset) else { continue };
+                let p = lat_long_pixel(back * direction, self.width, self.height());
+                let column = (p.x.round() as i64).rem_euclid(self.width as i64) as usize;
+                let row = (p.y.round() as i64).clamp(0, self.height() as i64 - 1) as usize;
+                total += weight;
+                let index = row * self.width + column;
+                match landed.iter_mut().rev().find(|(k, _)| *k == index) {
+                    Some((_, w)) => *w += weight,
+                    None => landed.push((index, weight)),
+                }
+            }
+        }
+        let flux = excess.as_dvec3() * solid_angle;
+        deposits.extend(landed.into_iter().map(|(index, w)| (index, flux * (w / total))));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::probe::mapping::{Angular, LatLong};
+    use glam::DQuat;
+
+    fn exact(mean: Image<Rgb>) -> Radiance {
+        let (w, h) = (mean.width(), mean.height());
+        Radiance {
+            mean,
+            variance: Image::filled(w, h, Rgb::ONE),
+            validity: Image::filled(w, h, Validity::Measured),
+        }
+    }
+
+    /// A lat-long with a sun-like disc 3 px wide (0.27° half-angle at 2048), antialiased.
+    fn sun(width: usize, towards: DVec3) -> Image<Rgb> {
+        let height = width / 2;
+        let half_angle = 3.0 * std::f64::consts::PI / width as f64;
+        Image::from_fn(width, height, |x, y| {
+            let centre = lat_long_direction(DVec2::new(x as f64, y as f64), width, height);
+            if centre.angle_between(towards) > 4.0 * half_angle {
+                return Rgb::splat(1.0);
+            }
+            let inside = (0..64)
+                .filter(|k| {
+                    let p = DVec2::new((k % 8) as f64, (k / 8) as f64) / 8.0 - 0.4375;
+                    let p = p + DVec2::new(x as f64, y as f64);
+                    lat_long_direction(p, width, height).angle_between(towards) < half_angle
+                })
+                .count();
+            Rgb::splat(1.0 + 1e5 * inside as f32 / 64.0)
+        })
+    }
+
+    /// Flux and flux-weighted direction of what is brighter than 1.5.
+    fn moments(image: &Image<Rgb>) -> (f64, DVec3) {
+        let (w, h) = (image.width(), image.height());
+        let (mut flux, mut moment) = (0.0, DVec3::ZERO);
+        for y in 0..h {
+            for x in 0..w {
+                let l = f64::from(image[(x, y)].x) - 1.0;
+                let d = lat_long_direction(DVec2::new(x as f64, y as f64), w, h);
+                flux += l * lat_long_solid_angle(y, w, h);
+                moment += l * lat_long_solid_angle(y, w, h) * d;
+            }
+        }
+        (flux, moment.normalize())
+    }
+
+    /// Deterministic rotations all over the group.
+    fn rotation(k: usize) -> DQuat {
+        let k = k as f64;
+        DQuat::from_rotation_y(2.4 * k)
+            * DQuat::from_rotation_x(1.7 * k)
+            * DQuat::from_rotation_z(k)
+    }
+
+    #[test]
+    fn sixteen_rotations_keep_the_suns_flux_and_place() {
+        let towards = DVec3::new(0.3, 0.5, -0.4).normalize();
+        let source = exact(sun(1024, towards));
+        let (flux, _) = moments(&source.mean);
+        for k in 0..16 {
+            let turn = DMat3::from_quat(rotation(k));
+            let mapping = LatLong { width: 1024, height: 512 };
+            let width = if k < 8 { 512 } else { 1024 };
+            let out = to_lat_long(&source, &mapping, turn, width);
+            let (f, d) = moments(&out.radiance);
+            assert!((f / flux - 1.0).abs() < 3e-3, "rotation {k}: flux {f} of {flux}");
+            let off = (turn * d).angle_between(towards).to_degrees();
+            // 0.02° at 1024: flux lands in texel centres, a 17th of a texel off on the whole.
+            assert!(off < 20.0 / width as f64, "rotation {k}: {off}°");
+        }
+    }
+
+    #[test]
+    fn constant_light_stays_constant() {
+        let source = exact(Image::filled(256, 256, Rgb::new(0.2, 0.5, 3.0)));
+        let turn = DMat3::from_quat(rotation(3));
+        let out = to_lat_long(&source, &Angular { size: 256 }, turn, 128);
+        let seen = out.radiance.pixels().iter().zip(out.coverage.pixels());
+        for (l, coverage) in seen.filter(|(_, c)| **c > 0.0) {
+            assert!((*l / Rgb::new(0.2, 0.5, 3.0) - 1.0).abs().max_element() < 1e-5, "{l}");
+            assert!(*coverage <= 1.0 + 1e-6);
+        }
+        // The rim of the angular map is one direction; nearly all is seen.
+        let seen = out.coverage.pixels().iter().filter(|c| **c > 0.5).count();
+        assert!(seen > 128 * 64 * 99 / 100, "{seen}");
+    }
+
+    #[test]
+    fn six_coloured_axes_arrive_where_they_belong() {
+        let axes = [DVec3::X, DVec3::NEG_X, DVec3::Y, DVec3::NEG_Y, DVec3::Z, DVec3::NEG_Z];
+        let colour = |d: DVec3| {
+            let k = (0..6).max_by(|&a, &b| axes[a].dot(d).total_cmp(&axes[b].dot(d))).unwrap();
+            Rgb::new((k & 1) as f32, (k >> 1 & 1) as f32, (k >> 2) as f32) + 0.1
+        };
+        let angular = Angular { size: 300 };
+        let source = exact(Image::from_fn(300, 300, |x, y| {
+            angular.direction(DVec2::new(x as f64, y as f64)).map_or(Rgb::ZERO, colour)
+        }));
+        let out = to_lat_long(&source, &angular, DMat3::IDENTITY, 200);
+        for axis in axes {
+            // +Z itself is the angular map's rim.
+            let near = (axis + DVec3::new(0.05, 0.07, -0.03)).normalize();
+            assert!((out.radiance(near) - colour(near)).length() < 1e-3, "{axis}");
+        }
+    }
+
+    #[test]
+    fn classes_are_not_mixed_and_a_lower_bound_survives() {
+        let mut source = exact(Image::filled(64, 32, Rgb::ONE));
+        source.mean[(20, 10)] = Rgb::splat(9.0);
+        source.validity[(20, 10)] = Validity::LowerBound;
+        source.validity[(21, 10)] = Validity::Moved;
+        let mapping = LatLong { width: 64, height: 32 };
+        let turn = DMat3::from_rotation_y(0.02);
+        let out = to_lat_long(&source, &mapping, turn, 128);
+        let bounds = out.validity.pixels().iter().filter(|v| **v == Validity::LowerBound).count();
+        assert!((4..=9).contains(&bounds), "{bounds} texels");
+        // No sample blends 9 with 1; texels on the border of the two hold area shares of both.
+        let top = out.radiance.pixels().iter().map(|l| l.x).fold(0.0, f32::max);
+        assert_eq!(top, 9.0);
+    }
+
+    #[test]
+    fn variance_falls_with_the_number_of_pixels_mixed() {
+        let source = exact(Image::filled(256, 128, Rgb::ONE));
+        let mapping = LatLong { width: 256, height: 128 };
+        let out = to_lat_long(&source, &mapping, DMat3::IDENTITY, 64);
+        // 4 × 4 pixels and the tails of the tent: about 1/16.
+        let v = out.variance[(30, 16)].x;
+        assert!(v > 1.0 / 24.0 && v < 1.0 / 14.0, "{v}");
+    }
+
+    #[test]
+    fn black_and_tiny_pictures_survive() {
+        for (w, h) in [(1, 1), (2, 1), (8, 8)] {
+            let source = exact(Image::filled(w, h, Rgb::ZERO));
+            let mapping = LatLong { width: w, height: h };
+            let out = to_lat_long(&source, &mapping, DMat3::IDENTITY, 16);
+            assert!(out.radiance.pixels().iter().all(|l| *l == Rgb::ZERO));
+        }
+    }
+}
