@@ -95,8 +95,10 @@ pub fn write_exr(
         FlatSamples::F16(samples)
     };
     let list = channels.iter().map(|(name, values)| AnyChannel::new(*name, cut(values))).collect();
-    let mut attributes = LayerAttributes::default();
-    attributes.layer_position = Vec2(window.x as i32, window.y as i32);
+    let attributes = LayerAttributes {
+        layer_position: Vec2(window.x as i32, window.y as i32),
+        ..LayerAttributes::default()
+    };
     let size = Vec2(window.width, window.height);
     let encoding = Encoding::SMALL_LOSSLESS;
     let layer = Layer::new(size, attributes, encoding, AnyChannels::sort(list));
