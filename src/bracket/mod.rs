@@ -1,10 +1,53 @@
 //! Exposure brackets → radiance.
 //!
 //! `[Photo]` with exposures → [`Radiance`]: mean, variance and validity of every pixel, on one scale.
-//! This room never unwraps or moves a picture except to align a bracket.
+//! Start with [`merge()`]. This room never unwraps or moves a picture except to align a bracket.
+
+mod align;
+pub mod exposure;
+mod lint;
+mod merge;
+mod noise;
+#[cfg(test)]
+mod simulation;
+
+pub use self::lint::Warning;
+pub use self::merge::{Frame, MergeOptions, Merged, merge};
+pub use self::noise::Noise;
+
+use std::path::PathBuf;
 
 use crate::conventions::Rgb;
 use crate::photo::Image;
+
+/// Why a bracket cannot be merged.
+#[derive(Debug, thiserror::Error)]
+pub enum BracketError {
+    #[error("no photographs to merge; name at least one")]
+    NoFrames,
+    #[error(
+        "{} is {} × {} px but {} is {} × {} px; the frames of a bracket have one size",
+        a.display(), a_size.0, a_size.1, b.display(), b_size.0, b_size.1
+    )]
+    SizesDiffer { a: PathBuf, b: PathBuf, a_size: (usize, usize), b_size: (usize, usize) },
+    #[error("{}: EXIF has no {missing}, so its exposure is not known; give the times of all frames (--times or --times-file)", path.display())]
+    NoExposure { path: PathBuf, missing: String },
+    #[error("{}: exposure {exposure} is not a positive number", path.display())]
+    BadExposure { path: PathBuf, exposure: f64 },
+    #[error("{times} times for {photos} photographs; give one for each")]
+    TimesCount { times: usize, photos: usize },
+    #[error("\"{text}\" is not a time in seconds; write 0.5 or 1/60")]
+    BadTime { text: String },
+    #[error("{}: is not in the list of times", path.display())]
+    NotListed { path: PathBuf },
+    #[error("{} has ISO and f-number in its EXIF, {} has not; their exposures cannot be compared", with.display(), without.display())]
+    MixedExif { with: PathBuf, without: PathBuf },
+    #[error(
+        "{} and {}: the exposures are stated as 1:{label:.3}, but the pixels say 1:{measured:.3}; correct the times (--times)",
+        short.display(), long.display()
+    )]
+    WrongLabel { short: PathBuf, long: PathBuf, label: f64, measured: f64 },
+}
 
 /// What is known of the light at each pixel of a merged bracket.
 ///

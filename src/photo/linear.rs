@@ -5,7 +5,7 @@ use std::path::Path;
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 
-use super::{Decoded, Encoding, Image, NonFinite, Photo, PhotoError, Samples, Transfer};
+use super::{Decoded, Encoding, Format, Image, NonFinite, Photo, PhotoError, Samples, Transfer};
 use crate::conventions::Rgb;
 
 /// Codes at or above this are clipped in 8 bit: JPEG and sensor noise spread the clip level.
@@ -14,7 +14,7 @@ const CLIP_8BIT: u8 = 250;
 const CLIP_16BIT: u16 = 64_225;
 
 /// The finished [`Photo`] of a decoded file.
-pub(super) fn photo(path: &Path, decoded: Decoded) -> Result<Photo, PhotoError> {
+pub(super) fn photo(path: &Path, format: Format, decoded: Decoded) -> Result<Photo, PhotoError> {
     let Decoded { width, height, samples, facts, encoding } = decoded;
     let rec709_from_file = match encoding.primaries.rec709_from_rgb() {
         Some(matrix) => (matrix != DMat3::IDENTITY).then_some(matrix),
@@ -42,6 +42,7 @@ pub(super) fn photo(path: &Path, decoded: Decoded) -> Result<Photo, PhotoError> 
     let wrong_count = || PhotoError::damaged(path, "picture", "wrong number of samples");
     Ok(Photo {
         path: path.into(),
+        format,
         linear: Image::from_pixels(width, height, linear).ok_or_else(wrong_count)?,
         alpha: if has_alpha {
             Some(Image::from_pixels(width, height, alpha).ok_or_else(wrong_count)?)

@@ -33,6 +33,7 @@ use crate::conventions::Rgb;
 pub struct Photo {
     /// Where it was read.
     pub path: PathBuf,
+    pub format: Format,
     /// Scene-linear Rec.709 of the display window, EXIF orientation applied.
     pub linear: Image<Rgb>,
     /// Coverage 0…1, if the file has one. `linear` stays as the file has it: premultiplied in EXR,
@@ -49,6 +50,18 @@ pub struct Photo {
     pub encoding: Encoding,
     /// The file's own samples, upright, same size as `linear`.
     pub samples: Samples,
+}
+
+/// The kind of file a picture was read from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Format {
+    Exr,
+    RadianceHdr,
+    Png,
+    Tiff,
+    Jpeg,
+    /// Made in memory.
+    None,
 }
 
 /// NaN or infinite samples found in a file.
@@ -160,6 +173,7 @@ impl Photo {
         let data = linear.pixels().iter().flat_map(|l| l.to_array()).collect();
         Self {
             path: PathBuf::new(),
+            format: Format::None,
             alpha: None,
             clipped: linear.map(|_| false),
             nonfinite: None,
@@ -227,17 +241,17 @@ pub fn read(path: &Path, options: &ReadOptions) -> Result<Photo, PhotoError> {
 
 /// Reads a picture from a file's bytes; `path` only names it in messages.
 pub fn read_bytes(path: &Path, bytes: &[u8], options: &ReadOptions) -> Result<Photo, PhotoError> {
-    let decoded = match bytes {
-        [0x76, 0x2f, 0x31, 0x01, ..] => exr_read::decode(path, bytes, options)?,
-        [b'#', b'?', ..] => radiance_hdr::decode(path, bytes, options)?,
-        [0x89, b'P', b'N', b'G', ..] => raster::decode_png(path, bytes, options)?,
+    let (format, decoded) = match bytes {
+        [0x76, 0x2f, 0x31, 0x01, ..] => (Format::Exr, exr_read::decode(path, bytes, options)),
+        [b'#', b'?', ..] => (Format::RadianceHdr, radiance_hdr::decode(path, bytes, options)),
+        [0x89, b'P', b'N', b'G', ..] => (Format::Png, raster::decode_png(path, bytes, options)),
         [b'I', b'I', 42 | 43, 0, ..] | [b'M', b'M', 0, 42 | 43, ..] => {
-            raster::decode_tiff(path, bytes, options)?
+            (Format::Tiff, raster::decode_tiff(path, bytes, options))
         }
-        [0xff, 0xd8, ..] => raster::decode_jpeg(path, bytes, options)?,
+        [0xff, 0xd8, ..] => (Format::Jpeg, raster::decode_jpeg(path, bytes, options)),
         _ => return Err(not_a_picture(path, bytes)),
     };
-    linear::photo(path, decoded)
+    linear::photo(path, format, decoded?)
 }
 
 fn not_a_picture(path: &Path, bytes: &[u8]) -> PhotoError {

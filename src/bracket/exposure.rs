@@ -1,0 +1,283 @@
+//! How much light each frame of a bracket gathered: from EXIF or the user, checked in the pixels.
+//!
+//! Labels are rounded (1/30 s is really 1/32) and sometimes false, while the ratio of two exposures
+//! can be read from pixels that both show: the median of the log ratios is good to 0.04 %
+//! (methods-capture C3). A tone curve that is not the assumed one makes the ratio depend on
+//! brightness; then the pixels say nothing about the exposures, and the labels are kept.
+
+use std::path::PathBuf;
+
+use rayon::prelude::*;
+
+use super::merge::Layer;
+use super::{BracketError, Warning};
+use crate::photo::{Facts, Photo};
+
+/// Exposure t·(ISO/100)/N² of a photograph: linear value = exposure × radiance (up to the camera's
+/// own constant). `None` if EXIF lacks the time, the f-number or the ISO.
+pub fn exposure(facts: &Facts) -> Option<f64> {
+    let (t, n, iso) = (facts.exposure_s?, facts.f_number?, facts.iso?);
+    let exposure = t * (iso / 100.0) / (n * n);
+    (exposure.is_finite() && exposure > 0.0).then_some(exposure)
+}
+
+/// Exposures of all frames from their EXIF.
+///
+/// # Errors
+/// Names the first frame without, what is missing, and the remedy.
+pub fn from_exif(photos: &[Photo]) -> Result<Vec<f64>, BracketError> {
+    photos
+        .iter()
+        .map(|photo| {
+            exposure(&photo.facts).ok_or_else(|| BracketError::NoExposure {
+                path: photo.path.clone(),
+                missing: missing(&photo.facts),
+            })
+        })
+        .collect()
+}
+
+/// Exposures from shutter times given by the user.
+///
+/// ISO and f-number still come from EXIF where every frame has them; where none has, the result is
+/// relative (as if f/1 at ISO 100) and cannot be tied to another camera.
+///
+/// # Errors
+/// A wrong number of times, or EXIF in some frames only.
+pub fn from_times(photos: &[Photo], times_s: &[f64]) -> Result<Vec<f64>, BracketError> {
+    if times_s.len() != photos.len() {
+        return Err(BracketError::TimesCount { times: times_s.len(), photos: photos.len() });
+    }
+    if let Some(&time) = times_s.iter().find(|t| !(t.is_finite() && **t > 0.0)) {
+        return Err(BracketError::BadTime { text: time.to_string() });
+    }
+    let gains: Vec<Option<f64>> = photos
+        .iter()
+        .map(|p| exposure(&Facts { exposure_s: Some(1.0), ..p.facts.clone() }))
+        .collect();
+    if let (Some(some), Some(none)) =
+        (gains.iter().position(Option::is_some), gains.iter().position(Option::is_none))
+    {
+        return Err(BracketError::MixedExif {
+            with: photos[some].path.clone(),
+            without: photos[none].path.clone(),
+        });
+    }
+    Ok(times_s.iter().zip(gains).map(|(t, gain)| t * gain.unwrap_or(1.0)).collect())
+}
+
+/// Reads a list of shutter times: one a line, `name time` or `time` alone, in seconds.
+///
+/// Times may be fractions (`1/60`). Empty lines and lines that begin with `#` are skipped. With
+/// names the order of the lines does not matter; each of `photos` must have one.
+pub fn parse_times(text: &str, photos: &[PathBuf]) -> Result<Vec<f64>, BracketError> {
+    let mut named = Vec::new();
+    let mut plain = Vec::new();
+    for line in text.lines().map(str::trim).filter(|l| !l.is_empty() && !l.starts_with('#')) {
+        match line.rsplit_once(char::is_whitespace) {
+            Some((name, time)) => named.push((name.trim(), parse_time(time)?)),
+            None => plain.push(parse_time(line)?),
+        }
+    }
+    if named.is_empty() {
+        return if plain.len() == photos.len() {
+            Ok(plain)
+        } else {
+            Err(BracketError::TimesCount { times: plain.len(), photos: photos.len() })
+        };
+    }
+    photos
+        .iter()
+        .map(|photo| {
+            let name = photo.file_name().map(|n| n.to_string_lossy().into_owned());
+            named
+                .iter()
+                .find(|(listed, _)| name.as_deref() == Some(*listed))
+                .map(|&(_, time)| time)
+                .ok_or_else(|| BracketError::NotListed { path: photo.clone() })
+        })
+        .collect()
+}
+
+/// A time in seconds: `0.5`, `1/60`.
+pub fn parse_time(text: &str) -> Result<f64, BracketError> {
+    let number = |t: &str| t.trim().parse::<f64>().ok();
+    let time = match text.split_once('/') {
+        Some((a, b)) => number(a).zip(number(b)).map(|(a, b)| a / b),
+        None => number(text),
+    };
+    time.filter(|t| t.is_finite() && *t > 0.0)
+        .ok_or_else(|| BracketError::BadTime { text: text.into() })
+}
+
+fn missing(facts: &Facts) -> String {
+    let mut missing = Vec::new();
+    for (known, name) in [
+        (facts.exposure_s.is_some(), "exposure time"),
+        (facts.f_number.is_some(), "f-number"),
+        (facts.iso.is_some(), "ISO"),
+    ] {
+        if !known {
+            missing.push(name);
+        }
+    }
+    missing.join(", ")
+}
+
+/// Labels this close to the pixels (in log) are kept as they are.
+const SAME_AS_LABEL: f64 = 0.005;
+/// From here on the user is told.
+const WARN_ABOVE: f64 = 0.05;
+/// From here on a label is wrong, not rounded.
+const WRONG_ABOVE: f64 = 0.25;
+/// Pixels two frames must share for a ratio.
+const MIN_SHARED_PIXELS: usize = 1000;
+/// Brightness range below which both frames are mostly noise.
+const DARKEST_SHARED: f32 = 0.01;
+/// A ratio that varies by more than this over brightness is a tone curve, not an exposure.
+const CURVE_SPREAD: f64 = 0.10;
+
+/// What two frames say of the ratio of their exposures.
+struct Ratio {
+    /// ln(longer/shorter).
+    log: f64,
+    /// Largest difference of the log ratio between brightness bands.
+    spread: f64,
+}
+
+/// Corrects labels from the pixels; `order` lists the frames by rising label.
+///
+/// # Errors
+/// A label that is more than 25 % away from the pixels.
+pub(super) fn refine(
+    layers: &[Layer],
+    photos: &[&Photo],
+    labels: &[f64],
+    order: &[usize],
+    warnings: &mut Vec<Warning>,
+) -> Result<Vec<f64>, BracketError> {
+    let mut log_exposure = vec![0.0; labels.len()];
+    let mut corrected = false;
+    for pair in order.windows(2) {
+        let (short, long) = (pair[0], pair[1]);
+        let label = (labels[long] / labels[short]).ln();
+        let name = |k: usize| photos[k].path.clone();
+        let mut log = label;
+        match ratio(&layers[short], &layers[long]) {
+            None => {
+                warnings.push(Warning::RatioUnchecked { short: name(short), long: name(long) });
+            }
+            Some(ratio) if ratio.spread > CURVE_SPREAD => {
+                let (short, long) = (name(short), name(long));
+                // Even through an unknown tone curve a factor of two is a wrong label.
+                if (ratio.log - label).abs() > std::f64::consts::LN_2 {
+                    return Err(wrong_label(short, long, label, ratio.log));
+                }
+                warnings.push(Warning::ToneCurve { short, long, spread: ratio.spread });
+            }
+            Some(ratio) => {
+                let off = (ratio.log - label).abs();
+                if off > (1.0 + WRONG_ABOVE).ln() {
+                    return Err(wrong_label(name(short), name(long), label, ratio.log));
+                }
+                if off > (1.0 + WARN_ABOVE).ln() {
+                    warnings.push(Warning::LabelOff {
+                        short: name(short),
+                        long: name(long),
+                        label: label.exp(),
+                        measured: ratio.log.exp(),
+                    });
+                }
+                if off > SAME_AS_LABEL {
+                    log = ratio.log;
+                    corrected = true;
+                }
+            }
+        }
+        log_exposure[long] = log_exposure[short] + log;
+    }
+    if !corrected {
+        return Ok(labels.to_vec());
+    }
+    // Ratios leave one common factor free: the labels are right on average.
+    let mean_off = labels.iter().zip(&log_exposure).map(|(l, e)| l.ln() - e).sum::<f64>()
+        / labels.len() as f64;
+    Ok(log_exposure.iter().map(|e| (e + mean_off).exp()).collect())
+}
+
+fn wrong_label(short: PathBuf, long: PathBuf, label: f64, measured: f64) -> BracketError {
+    BracketError::WrongLabel { short, long, label: label.exp(), measured: measured.exp() }
+}
+
+/// Median log ratio of two frames over pixels that both show well, and how it varies.
+fn ratio(short: &Layer, long: &Layer) -> Option<Ratio> {
+    // Chosen by the longer frame only: choosing by the noisy one would favour its upward noise.
+    let mut logs: Vec<(f32, f64)> = (0..long.linear.height())
+        .into_par_iter()
+        .flat_map_iter(|y| {
+            let rows = (long.linear.row(y), short.linear.row(y));
+            let usable = (long.usable.row(y), short.usable.row(y));
+            (0..rows.0.len()).filter_map(move |x| {
+                // Green: the channel with most light and least interpolation.
+                let (a, b) = (rows.0[x].y, rows.1[x].y);
+                let usable = usable.0[x] && usable.1[x] && a > DARKEST_SHARED;
+                (usable && b > 0.0).then(|| (a, f64::from(a / b).ln()))
+            })
+        })
+        .collect();
+    if logs.len() < MIN_SHARED_PIXELS {
+        return None;
+    }
+    let guess = median(logs.iter().map(|l| l.1).collect())?;
+    // Both frames above the floor, judged through the longer one.
+    let floor = DARKEST_SHARED * guess.exp() as f32;
+    logs.retain(|l| l.0 > floor);
+    if logs.len() < MIN_SHARED_PIXELS {
+        return None;
+    }
+    let log = median(logs.iter().map(|l| l.1).collect())?;
+    logs.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
+    const BANDS: usize = 5;
+    let bands: Vec<f64> = logs
+        .chunks(logs.len().div_ceil(BANDS))
+        .filter_map(|band| median(band.iter().map(|l| l.1).collect()))
+        .collect();
+    let (low, high) = bands
+        .iter()
+        .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), &b| (low.min(b), high.max(b)));
+    Some(Ratio { log, spread: high - low })
+}
+
+/// The middle value; `None` of nothing.
+pub(super) fn median(mut values: Vec<f64>) -> Option<f64> {
+    let middle = values.len() / 2;
+    (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f64::total_cmp).1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn exposure_needs_time_aperture_and_iso() {
+        let mut facts = Facts {
+            exposure_s: Some(1.0 / 160.0),
+            f_number: Some(8.0),
+            iso: Some(200.0),
+            ..Facts::default()
+        };
+        assert!((exposure(&facts).unwrap() - 2.0 / 160.0 / 64.0).abs() < 1e-15);
+        facts.f_number = None;
+        assert_eq!(exposure(&facts), None);
+    }
+
+    #[test]
+    fn times_may_be_fractions_named_or_plain() {
+        let photos = [PathBuf::from("x/a.jpg"), PathBuf::from("x/b.jpg")];
+        assert_eq!(parse_times("b.jpg 1/4\n# dark\na.jpg  2\n", &photos).unwrap(), [2.0, 0.25]);
+        assert_eq!(parse_times("1/8\n0.5\n", &photos).unwrap(), [0.125, 0.5]);
+        for bad in ["1/0\n1", "a.jpg 1", "1\n2\n3", "x y\nz w", "-1\n1", "nan\n1"] {
+            assert!(parse_times(bad, &photos).is_err(), "{bad:?}");
+        }
+    }
+}
