@@ -1,9 +1,13 @@
 //! glTF 2.0 metallic-roughness materials, onto which OBJ's MTL is mapped too.
+//!
+//! A [`Material`] says how the numbers vary over a surface; [`Material::evaluate`] gives them at one
+//! point as a [`SurfaceParameters`], from which the render room builds its BSDF. Occlusion maps are
+//! not read: what they imitate is traced.
 
-use glam::{Vec3, Vec4};
+use glam::{Affine2, Vec2, Vec3, Vec4};
 
+use super::Texture;
 use crate::conventions::Rgb;
-use crate::photo::Image;
 
 /// A glTF 2.0 metallic-roughness material with the extensions Platelight renders.
 #[derive(Clone, Debug)]
@@ -25,6 +29,8 @@ pub struct Material {
     pub double_sided: bool,
     /// KHR_materials_transmission.
     pub transmission: f32,
+    /// Red multiplies `transmission`.
+    pub transmission_texture: Option<TextureRef>,
     /// True if the material bounds a solid (KHR_materials_volume or a closed glass): rays refract.
     pub solid: bool,
     /// KHR_materials_volume: attenuation colour over `attenuation_distance` metres.
@@ -34,7 +40,10 @@ pub struct Material {
     pub ior: f32,
     /// KHR_materials_specular: 0 is exactly Lambert.
     pub specular: f32,
+    /// Alpha multiplies `specular`.
+    pub specular_texture: Option<TextureRef>,
     pub specular_colour: Rgb,
+    pub specular_colour_texture: Option<TextureRef>,
 }
 
 impl Default for Material {
@@ -54,12 +63,15 @@ impl Default for Material {
             alpha_mode: AlphaMode::Opaque,
             double_sided: false,
             transmission: 0.0,
+            transmission_texture: None,
             solid: false,
             attenuation_colour: Vec3::ONE,
             attenuation_distance: f32::INFINITY,
             ior: 1.5,
             specular: 1.0,
+            specular_texture: None,
             specular_colour: Vec3::ONE,
+            specular_colour_texture: None,
         }
     }
 }
@@ -77,20 +89,193 @@ pub enum AlphaMode {
 pub struct TextureRef {
     /// Index into [`Scene::textures`](super::Scene::textures).
     pub texture: usize,
+    /// 0 = [`Mesh::uvs`](super::Mesh::uvs), 1 = [`Mesh::second_uvs`](super::Mesh::second_uvs).
+    pub uv_set: usize,
     /// uv' = matrix · uv + offset.
-    pub uv_transform: glam::Affine2,
+    pub uv_transform: Affine2,
 }
 
-/// Texels, linear light for colour and plain numbers for data; bilinear, wrapped as glTF says.
-#[derive(Clone, Debug)]
-pub struct Texture {
-    pub texels: Image<Vec4>,
-    pub wrap: [Wrap; 2],
+impl TextureRef {
+    fn sample(&self, textures: &[Texture], uvs: [Vec2; 2]) -> Vec4 {
+        textures[self.texture].sample(self.uv_transform.transform_point2(uvs[self.uv_set]))
+    }
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Wrap {
-    Repeat,
-    MirroredRepeat,
-    ClampToEdge,
+/// The plain numbers of a material at one point: what a BSDF is built from (methods-render R5).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SurfaceParameters {
+    /// Linear: factor × texture × vertex colour.
+    pub base_colour: Rgb,
+    /// Share of the surface that is there: 1 if opaque, 0 or 1 for a mask.
+    pub alpha: f32,
+    pub metallic: f32,
+    /// Perceptual; GGX α = roughness².
+    pub roughness: f32,
+    /// Radiance sent out by the front (and the back, if `double_sided`).
+    pub emissive: Rgb,
+    pub double_sided: bool,
+    pub transmission: f32,
+    /// Whether transmitted rays refract into a solid (else a thin sheet, straight through).
+    pub solid: bool,
+    /// Share of light left per channel after `attenuation_distance` metres inside the solid.
+    pub attenuation_colour: Rgb,
+    /// +∞ = clear.
+    pub attenuation_distance: f32,
+    pub ior: f32,
+    /// Weight of the dielectric reflection; 0 = exactly Lambert.
+    pub specular: f32,
+    pub specular_colour: Rgb,
+}
+
+impl Material {
+    /// The material's numbers where the two texture coordinates are `uvs`.
+    ///
+    /// `textures` are those of the [`Scene`](super::Scene) the material belongs to.
+    pub fn evaluate(
+        &self,
+        textures: &[Texture],
+        uvs: [Vec2; 2],
+        vertex_colour: Vec4,
+    ) -> SurfaceParameters {
+        let sample = |texture: &Option<TextureRef>| {
+            texture.as_ref().map_or(Vec4::ONE, |t| t.sample(textures, uvs))
+        };
+        let base = self.base_colour * vertex_colour * sample(&self.base_colour_texture);
+        let rough_metal = sample(&self.metallic_roughness_texture);
+        SurfaceParameters {
+            base_colour: base.truncate().max(Vec3::ZERO),
+            alpha: self.alpha_mode.coverage(base.w),
+            metallic: (self.metallic * rough_metal.z).clamp(0.0, 1.0),
+            roughness: (self.roughness * rough_metal.y).clamp(0.0, 1.0),
+            emissive: self.emissive * sample(&self.emissive_texture).truncate(),
+            double_sided: self.double_sided,
+            transmission: self.transmission * sample(&self.transmission_texture).x,
+            solid: self.solid,
+            attenuation_colour: self.attenuation_colour,
+            attenuation_distance: self.attenuation_distance,
+            ior: self.ior,
+            specular: self.specular * sample(&self.specular_texture).w,
+            specular_colour: self.specular_colour
+                * sample(&self.specular_colour_texture).truncate(),
+        }
+    }
+
+    /// Only [`SurfaceParameters::alpha`]: cheap enough to ask during the walk of a ray.
+    pub fn alpha(&self, textures: &[Texture], uvs: [Vec2; 2], vertex_colour: Vec4) -> f32 {
+        if self.alpha_mode == AlphaMode::Opaque {
+            return 1.0;
+        }
+        let texture = self.base_colour_texture.as_ref();
+        let alpha = texture.map_or(1.0, |t| t.sample(textures, uvs).w);
+        self.alpha_mode.coverage(self.base_colour.w * vertex_colour.w * alpha)
+    }
+
+    /// The shading normal in the tangent frame (x along the tangent, z the interpolated normal),
+    /// unit; `None` if the material has no normal map.
+    pub fn tangent_normal(&self, textures: &[Texture], uvs: [Vec2; 2]) -> Option<Vec3> {
+        let texel = self.normal_texture.as_ref()?.sample(textures, uvs).truncate();
+        let scale = Vec3::new(self.normal_scale, self.normal_scale, 1.0);
+        (scale * (2.0 * texel - 1.0)).try_normalize()
+    }
+
+    /// The sets of texture coordinates that its textures need, ascending.
+    pub(super) fn uv_sets(&self) -> Vec<usize> {
+        let sets = self.clone().texture_refs_mut().map(|texture| texture.uv_set).collect();
+        let sets: std::collections::BTreeSet<usize> = sets;
+        sets.into_iter().collect()
+    }
+
+    pub(super) fn texture_refs_mut(&mut self) -> impl Iterator<Item = &mut TextureRef> {
+        [
+            &mut self.base_colour_texture,
+            &mut self.metallic_roughness_texture,
+            &mut self.normal_texture,
+            &mut self.emissive_texture,
+            &mut self.transmission_texture,
+            &mut self.specular_texture,
+            &mut self.specular_colour_texture,
+        ]
+        .into_iter()
+        .flatten()
+    }
+
+    /// Whether any light is sent out.
+    pub fn is_emissive(&self) -> bool {
+        self.emissive.max_element() > 0.0
+    }
+}
+
+impl AlphaMode {
+    fn coverage(self, alpha: f32) -> f32 {
+        match self {
+            Self::Opaque => 1.0,
+            Self::Mask(cutoff) => f32::from(u8::from(alpha >= cutoff)),
+            Self::Blend => alpha.clamp(0.0, 1.0),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::photo::Image;
+    use crate::scene::Wrap;
+
+    fn two_texels(left: Vec4, right: Vec4) -> Texture {
+        let texels = Image::from_fn(2, 1, |x, _| if x == 0 { left } else { right });
+        Texture::from_linear(texels, [Wrap::Repeat; 2]).unwrap()
+    }
+
+    fn first_texture() -> Option<TextureRef> {
+        Some(TextureRef { texture: 0, uv_set: 0, uv_transform: Affine2::IDENTITY })
+    }
+
+    #[test]
+    fn factor_texture_and_vertex_colour_multiply() {
+        let textures = [two_texels(Vec4::splat(0.5), Vec4::ONE)];
+        let material = Material {
+            base_colour: Vec4::new(0.8, 0.4, 0.2, 1.0),
+            base_colour_texture: first_texture(),
+            metallic: 0.6,
+            roughness: 0.4,
+            metallic_roughness_texture: first_texture(),
+            ..Material::default()
+        };
+        let uv = Vec2::new(0.25, 0.5);
+        let at = material.evaluate(&textures, [uv; 2], Vec4::new(1.0, 0.5, 1.0, 1.0));
+        assert!((at.base_colour - Vec3::new(0.4, 0.1, 0.1)).length() < 1e-6);
+        assert_eq!((at.metallic, at.roughness, at.alpha), (0.3, 0.2, 1.0));
+    }
+
+    #[test]
+    fn a_mask_is_all_or_nothing_and_blend_is_alpha() {
+        let textures = [two_texels(Vec4::splat(0.3), Vec4::splat(0.7))];
+        let alpha = |alpha_mode, u| {
+            let material = Material {
+                alpha_mode,
+                base_colour_texture: first_texture(),
+                ..Material::default()
+            };
+            let uvs = [Vec2::new(u, 0.5); 2];
+            let alpha = material.alpha(&textures, uvs, Vec4::ONE);
+            assert_eq!(alpha, material.evaluate(&textures, uvs, Vec4::ONE).alpha);
+            alpha
+        };
+        assert_eq!(alpha(AlphaMode::Mask(0.5), 0.25), 0.0);
+        assert_eq!(alpha(AlphaMode::Mask(0.5), 0.75), 1.0);
+        assert_eq!(alpha(AlphaMode::Blend, 0.25), 0.3);
+        assert_eq!(alpha(AlphaMode::Opaque, 0.25), 1.0);
+    }
+
+    #[test]
+    fn a_flat_normal_map_leaves_the_normal_and_scale_tilts_it() {
+        let tilted = Vec4::new(0.75, 0.5, 1.0, 1.0);
+        let textures = [two_texels(Vec4::new(0.5, 0.5, 1.0, 1.0), tilted)];
+        let mut material = Material { normal_texture: first_texture(), ..Material::default() };
+        let normal = |m: &Material, u| m.tangent_normal(&textures, [Vec2::new(u, 0.5); 2]).unwrap();
+        assert_eq!(normal(&material, 0.25), Vec3::Z);
+        assert!((normal(&material, 0.75) - Vec3::new(0.5, 0.0, 1.0).normalize()).length() < 1e-6);
+        material.normal_scale = 0.0;
+        assert_eq!(normal(&material, 0.75), Vec3::Z);
+    }
 }

@@ -1,21 +1,39 @@
 //! What stands in the world: meshes, materials, inserted objects and the modelled local scene.
 //!
-//! glTF and OBJ files → [`Scene`] (objects · local things). This room never traces or lights.
+//! glTF and OBJ files → [`Model`] ([`read`]) → [`Scene`] (objects · local things); a point of it →
+//! [`Surface`]. Start with [`Scene::add_object`]. This room never traces or lights.
 
+pub mod assemble;
 pub mod bounds;
+mod buffers;
+mod error;
+#[cfg(test)]
+mod file_tests;
+mod files;
+pub mod gltf;
+mod gltf_material;
 pub mod material;
 pub mod mesh;
+pub mod model;
+pub mod surface;
+pub mod texture;
 
 pub use bounds::Bounds;
-pub use material::{AlphaMode, Material, Texture, TextureRef};
+pub use error::SceneError;
+pub use material::{AlphaMode, Material, SurfaceParameters, TextureRef};
 pub use mesh::Mesh;
+pub use model::{Model, ModelMesh};
+pub use surface::{Place, Surface};
+pub use texture::{Texture, Wrap};
+
+use std::path::Path;
 
 use glam::DVec3;
 
 /// All geometry of a shot, in one frame close to the objects.
 ///
 /// Mesh positions are f32 metres relative to `origin`, so that a place far from the world's origin
-/// keeps its millimetres.
+/// keeps its millimetres. Axes are the world's.
 #[derive(Clone, Debug, Default)]
 pub struct Scene {
     /// World point that is (0, 0, 0) of every mesh.
@@ -26,6 +44,10 @@ pub struct Scene {
     pub local: Vec<LocalMesh>,
     pub materials: Vec<Material>,
     pub textures: Vec<Texture>,
+    /// Names of the placed objects, one an [`Scene::add_object`].
+    pub object_names: Vec<String>,
+    /// Names of the placed local things, one an [`Scene::add_local`] or [`Scene::add_plane`].
+    pub local_names: Vec<String>,
 }
 
 /// A modelled real thing.
@@ -54,4 +76,13 @@ pub enum AlbedoSource {
     Constant(glam::Vec3),
     /// The file's own material.
     Material,
+}
+
+/// Reads a mesh file by its extension: `.glb`, `.gltf`.
+pub fn read(path: &Path) -> Result<Model, SceneError> {
+    let extension = path.extension().and_then(|e| e.to_str()).unwrap_or("").to_ascii_lowercase();
+    match extension.as_str() {
+        "glb" | "gltf" => gltf::read(path),
+        _ => Err(SceneError::UnknownFormat { path: path.into() }),
+    }
 }

@@ -1,0 +1,139 @@
+//! Mesh files made by others: the shared test data, and files broken on purpose.
+
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use super::{Model, SceneError, read};
+
+/// The folder of shared test data; `None`, said on stderr, where it is not installed.
+fn shared() -> Option<PathBuf> {
+    let beside = || PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../shared"));
+    let folder = std::env::var_os("PLATELIGHT_SHARED").map_or_else(beside, PathBuf::from);
+    if !folder.is_dir() {
+        eprintln!("{} is not there: files of others are not tested", folder.display());
+        return None;
+    }
+    Some(folder)
+}
+
+/// All mesh files below a folder, sorted.
+fn mesh_files(folder: &Path) -> Vec<PathBuf> {
+    let mut files = Vec::new();
+    let mut folders = vec![folder.to_path_buf()];
+    while let Some(folder) = folders.pop() {
+        for entry in std::fs::read_dir(folder).unwrap() {
+            let path = entry.unwrap().path();
+            let extension = path.extension().and_then(|e| e.to_str()).unwrap_or("");
+            if path.is_dir() {
+                folders.push(path);
+            } else if ["glb", "gltf", "obj"].contains(&extension) {
+                files.push(path);
+            }
+        }
+    }
+    files.sort();
+    files
+}
+
+/// Reads in a thread of its own; a panic or more than 20 s (a file here takes milliseconds) fails.
+fn read_watched(path: &Path) -> Result<Model, SceneError> {
+    let begin = Instant::now();
+    let owned = path.to_path_buf();
+    let reading = std::thread::spawn(move || read(&owned));
+    while !reading.is_finished() {
+        assert!(begin.elapsed() < Duration::from_secs(20), "{} hangs", path.display());
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    let result = reading.join();
+    result.unwrap_or_else(|_| panic!("{} panics", path.display()))
+}
+
+fn assert_kept_promises(model: &Model) {
+    for mesh in &model.meshes {
+        let n = mesh.positions.len();
+        assert!(mesh.positions.iter().all(|p| p.is_finite()));
+        assert!(mesh.triangles.iter().flatten().all(|&i| (i as usize) < n));
+        for length in [
+            mesh.normals.len(),
+            mesh.uvs.len(),
+            mesh.second_uvs.len(),
+            mesh.tangents.len(),
+            mesh.colours.len(),
+        ] {
+            assert!(length == 0 || length == n);
+        }
+        assert!(mesh.material < model.materials.len());
+    }
+}
+
+/// Name, triangles, and a word of each warning that should be there and no other.
+type Expected = (&'static str, usize, &'static [&'static str]);
+
+#[test]
+fn good_gltf_files_load_with_their_triangles_and_no_needless_warning() {
+    let Some(shared) = shared() else { return };
+    // Counted from the files' accessors.
+    let expected: [Expected; 15] = [
+        ("AnimatedMorphCube/AnimatedMorphCube.gltf", 12, &["morph"]),
+        ("BoxInterleaved.glb", 12, &[]),
+        ("BoxTextured.glb", 12, &[]),
+        ("Cameras/Cameras.gltf", 2, &[]),
+        ("ClearCoatTest/ClearCoatTest.gltf", 37116, &["KHR_materials_clearcoat"]),
+        ("Duck.glb", 4212, &[]),
+        ("MeshPrimitiveModes/Mesh_PrimitiveMode_00.gltf", 0, &["Points", "no triangles"]),
+        ("MeshPrimitiveModes/Mesh_PrimitiveMode_04.gltf", 2, &[]),
+        ("MeshPrimitiveModes/Mesh_PrimitiveMode_05.gltf", 2, &[]),
+        ("MeshPrimitiveModes/Mesh_PrimitiveMode_06.gltf", 2, &[]),
+        ("MeshPrimitiveModes/Mesh_PrimitiveMode_07.gltf", 0, &["Points", "no triangles"]),
+        ("TextureTransformTest/TextureTransformTest.gltf", 24, &[]),
+        ("empty_nodes.glb", 0, &["no triangles"]),
+        ("nested.glb", 36, &[]),
+        ("quad_skin.glb", 2, &["FB_ngon_encoding", "skin"]),
+    ];
+    let folder = shared.join("data/gltf-good");
+    assert_eq!(mesh_files(&folder).len(), expected.len());
+    for (name, n_triangles, words) in expected {
+        let model = read_watched(&folder.join(name)).unwrap_or_else(|e| panic!("{e}"));
+        assert_kept_promises(&model);
+        assert_eq!(model.n_triangles(), n_triangles, "{name}");
+        assert_eq!(model.warnings.len(), words.len(), "{name}: {:?}", model.warnings);
+        for (warning, word) in model.warnings.iter().zip(words) {
+            assert!(warning.contains(word), "{name}: {warning}");
+        }
+    }
+}
+
+#[test]
+fn bad_gltf_files_end_in_an_error_or_a_warning() {
+    let Some(shared) = shared() else { return };
+    // A valid file with an empty BIN chunk: what was broken was a reader.
+    let fine = "zero-sized-bin-chunk-issue-440.glb";
+    let files = mesh_files(&shared.join("data/gltf-bad"));
+    assert!(files.len() > 40);
+    for file in files {
+        let Ok(model) = read_watched(&file) else { continue };
+        assert_kept_promises(&model);
+        assert!(
+            file.ends_with(fine) || !model.warnings.is_empty(),
+            "{} passes in silence",
+            file.display()
+        );
+    }
+}
+
+#[test]
+fn truth_objects_load_with_their_triangles_and_without_a_warning() {
+    let Some(shared) = shared() else { return };
+    for (scene, n_triangles) in
+        [("outdoor-sun", 192_372), ("overcast-soft", 173_480), ("indoor-window", 198_608)]
+    {
+        let folder = shared.join("truth").join(scene);
+        let objects = read(&folder.join("objects.glb")).unwrap_or_else(|e| panic!("{e}"));
+        assert_eq!(objects.n_triangles(), n_triangles, "{scene}");
+        for name in ["objects.glb", "props.glb", "support.glb"] {
+            let model = read(&folder.join(name)).unwrap_or_else(|e| panic!("{e}"));
+            assert_kept_promises(&model);
+            assert!(model.warnings.is_empty(), "{scene}/{name}: {:?}", model.warnings);
+        }
+    }
+}

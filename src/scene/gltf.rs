@@ -1,0 +1,343 @@
+//! glTF 2.0 (`.glb`, `.gltf`) → [`Model`].
+//!
+//! Read: nodes with their transforms, triangle lists, strips and fans, normals, two sets of texture
+//! coordinates, tangents, vertex colours, sparse accessors, materials with the extensions of
+//! [`SUPPORTED`]. Skins and morph targets stay in their rest pose, with a warning; points, lines,
+//! cameras, lights and animations are left out. Nothing outside the file's own folder is opened.
+
+use std::collections::BTreeSet;
+use std::path::Path;
+
+use glam::{DAffine3, DMat3, DMat4, DQuat, DVec3, Vec2, Vec3, Vec4};
+use gltf::Semantic;
+use gltf::json::Value;
+use gltf::mesh::Mode;
+
+use super::assemble::{normal_matrix, transform_normals, transform_tangents, turned};
+use super::buffers::{Buffers, Container, MAX_ELEMENTS, split};
+use super::files::read_file;
+use super::gltf_material::MaterialReader;
+use super::{Model, ModelMesh, SceneError};
+
+/// Extensions that are read and meant.
+pub const SUPPORTED: [&str; 6] = [
+    "KHR_materials_emissive_strength",
+    "KHR_materials_ior",
+    "KHR_materials_specular",
+    "KHR_materials_transmission",
+    "KHR_materials_volume",
+    "KHR_texture_transform",
+];
+
+/// Extensions that change nothing of what is rendered here, or are warned about where they are met.
+const HARMLESS: [&str; 2] = ["KHR_lights_punctual", "KHR_materials_unlit"];
+
+/// Reads the default scene of a glTF file (the first if none is named).
+pub fn read(path: &Path) -> Result<Model, SceneError> {
+    let bytes = read_file(path)?;
+    let Container { json, binary, warnings } = split(path, &bytes)?;
+    let (document, extension_warnings) = parse(path, json)?;
+    let buffers = Buffers::read(path, &document, binary)?;
+    let name = path.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();
+    let mut reader = Reader {
+        path,
+        materials: MaterialReader::new(path, &buffers),
+        buffers: &buffers,
+        material_numbers: Vec::new(),
+        model: Model { name, warnings, ..Model::default() },
+        n_vertices: 0,
+    };
+    reader.model.warnings.extend(extension_warnings);
+    reader.scene(&document)?;
+    Ok(reader.finish())
+}
+
+/// The validated document, and warnings about extensions that are used but not read.
+fn parse(path: &Path, json: &[u8]) -> Result<(gltf::Document, Vec<String>), SceneError> {
+    let broken = |place: &str, problem: String| SceneError::Broken {
+        path: path.into(),
+        place: place.into(),
+        problem,
+    };
+    let mut value: Value =
+        gltf::json::deserialize::from_slice(json).map_err(|e| broken("JSON", e.to_string()))?;
+    let names = |value: &Value, key: &str| -> Vec<String> {
+        let names = value.get(key).and_then(Value::as_array).into_iter().flatten();
+        names.filter_map(Value::as_str).map(String::from).collect()
+    };
+    let known = |name: &str| SUPPORTED.contains(&name) || HARMLESS.contains(&name);
+    if let Some(name) = names(&value, "extensionsRequired").into_iter().find(|name| !known(name)) {
+        return Err(SceneError::RequiredExtension { path: path.into(), name });
+    }
+    let unread = names(&value, "extensionsUsed").into_iter().filter(|name| !known(name));
+    let warnings = unread.map(|name| format!("extension {name} is not read")).collect();
+    // Judged above; the crate's own list is shorter than what is read here.
+    if let Some(object) = value.as_object_mut() {
+        object.remove("extensionsRequired");
+    }
+    // Exporters forget them, the crate insists, nobody here reads them: bounds of the positions.
+    let accessors = value.get_mut("accessors").and_then(Value::as_array_mut).into_iter().flatten();
+    for accessor in accessors.filter_map(Value::as_object_mut) {
+        for key in ["min", "max"] {
+            accessor.insert(key.into(), Value::from(vec![0.0; 3]));
+        }
+    }
+    let root: gltf::json::Root =
+        gltf::json::deserialize::from_value(value).map_err(|e| broken("JSON", e.to_string()))?;
+    let document = gltf::Document::from_json(root).map_err(|error| match error {
+        gltf::Error::Validation(problems) => {
+            let first = problems.first();
+            let place = first.map_or("JSON", |(place, _)| place.as_str());
+            let problem = first.map_or(String::new(), |(_, problem)| problem.to_string());
+            let more = problems.len().saturating_sub(1);
+            broken(place, format!("{problem} (and {more} more)"))
+        }
+        other => broken("JSON", other.to_string()),
+    })?;
+    Ok((document, warnings))
+}
+
+struct Reader<'a> {
+    path: &'a Path,
+    buffers: &'a Buffers<'a>,
+    materials: MaterialReader<'a>,
+    /// glTF's number (`None` = the default material) of each material read.
+    material_numbers: Vec<Option<usize>>,
+    model: Model,
+    n_vertices: usize,
+}
+
+impl Reader<'_> {
+    fn scene(&mut self, document: &gltf::Document) -> Result<(), SceneError> {
+        let Some(scene) = document.default_scene().or_else(|| document.scenes().next()) else {
+            self.model.warnings.push("it has no scene".into());
+            return Ok(());
+        };
+        let mut pending: Vec<_> = scene.nodes().map(|node| (node, DAffine3::IDENTITY)).collect();
+        pending.reverse();
+        let mut visited = vec![false; document.nodes().len()];
+        while let Some((node, world_from_parent)) = pending.pop() {
+            // A tree visits each node once; anything else is a cycle or a second parent.
+            if std::mem::replace(&mut visited[node.index()], true) {
+                let problem = "it is its own ancestor or has two parents".into();
+                return Err(self.broken(format!("nodes[{}]", node.index()), problem));
+            }
+            let world_from_node = world_from_parent * local_transform(&node);
+            if !world_from_node.is_finite() {
+                let problem = "its transform is not finite".into();
+                return Err(self.broken(format!("nodes[{}]", node.index()), problem));
+            }
+            if let Some(mesh) = node.mesh() {
+                self.mesh(&node, &mesh, &world_from_node)?;
+            }
+            let first = pending.len();
+            pending.extend(node.children().map(|child| (child, world_from_node)));
+            pending[first..].reverse();
+        }
+        Ok(())
+    }
+
+    fn mesh(
+        &mut self,
+        node: &gltf::Node,
+        mesh: &gltf::Mesh,
+        world_from_node: &DAffine3,
+    ) -> Result<(), SceneError> {
+        let place = match mesh.name() {
+            Some(name) => format!("meshes[{}] {name:?}", mesh.index()),
+            None => format!("meshes[{}]", mesh.index()),
+        };
+        if node.skin().is_some() {
+            self.warn(format!("{place}: its skin is ignored, it keeps the pose it is stored in"));
+        }
+        // glTF ignores the node's transform for skinned meshes only together with the joints';
+        // without them the node's is the best guess.
+        if mesh.primitives().any(|p| p.morph_targets().len() > 0) {
+            self.warn(format!("{place}: its morph targets are ignored"));
+        }
+        for primitive in mesh.primitives() {
+            let place = format!("{place}.primitives[{}]", primitive.index());
+            if let Some(mut read) = self.primitive(&primitive, &place)? {
+                for set in self.model.materials[read.material].uv_sets() {
+                    if [&read.uvs, &read.second_uvs][set].is_empty() {
+                        self.warn(format!(
+                            "{place}: no TEXCOORD_{set} for its textures; one texel covers it all"
+                        ));
+                    }
+                }
+                read.name = mesh.name().or(node.name()).unwrap_or_default().into();
+                transform(&mut read, world_from_node);
+                read.mend(&place, &mut self.model.warnings);
+                self.model.meshes.push(read);
+            }
+        }
+        Ok(())
+    }
+
+    fn primitive(
+        &mut self,
+        primitive: &gltf::Primitive,
+        place: &str,
+    ) -> Result<Option<ModelMesh>, SceneError> {
+        if matches!(primitive.mode(), Mode::Points | Mode::Lines | Mode::LineLoop | Mode::LineStrip)
+        {
+            self.warn(format!("{place}: {:?} have no surface and are left out", primitive.mode()));
+            return Ok(None);
+        }
+        let Some(positions) = primitive.get(&Semantic::Positions) else {
+            self.warn(format!("{place}: it has no positions and is left out"));
+            return Ok(None);
+        };
+        let positions = self.buffers.floats::<3>(&positions, "positions")?;
+        self.count_vertices(positions.len(), place)?;
+        let indices = match primitive.indices() {
+            Some(accessor) => {
+                let indices = self.buffers.indices(&accessor)?;
+                let n = positions.len();
+                if let Some(bad) = indices.iter().find(|&&i| i as usize >= n) {
+                    let place = format!("accessors[{}] (indices of {place})", accessor.index());
+                    return Err(self.broken(place, format!("index {bad} into {n} positions")));
+                }
+                indices
+            }
+            None => (0..positions.len() as u32).collect(),
+        };
+        self.count_vertices(indices.len() / 3, place)?;
+        let triangles = triangles(primitive.mode(), &indices);
+        let left_over = match primitive.mode() {
+            Mode::Triangles => indices.len() % 3,
+            _ => 0,
+        };
+        if left_over > 0 {
+            self.warn(format!("{place}: {left_over} indices make no triangle and are left out"));
+        }
+        let colours = match primitive.get(&Semantic::Colors(0)) {
+            Some(a) if a.dimensions().multiplicity() == 3 => {
+                let rgb = self.buffers.floats::<3>(&a, "vertex colours")?;
+                rgb.into_iter().map(|c| Vec3::from(c).extend(1.0)).collect()
+            }
+            Some(a) => vectors(self.buffers.floats::<4>(&a, "vertex colours")?, Vec4::from),
+            None => Vec::new(),
+        };
+        let buffers = self.buffers;
+        let read3 = |semantic, use_| match primitive.get(&semantic) {
+            Some(accessor) => Ok(vectors(buffers.floats(&accessor, use_)?, Vec3::from)),
+            None => Ok(Vec::new()),
+        };
+        let read2 = |semantic, use_| match primitive.get(&semantic) {
+            Some(accessor) => Ok(vectors(buffers.floats(&accessor, use_)?, Vec2::from)),
+            None => Ok(Vec::new()),
+        };
+        let tangents = match primitive.get(&Semantic::Tangents) {
+            Some(accessor) => vectors(buffers.floats(&accessor, "tangents")?, Vec4::from),
+            None => Vec::new(),
+        };
+        Ok(Some(ModelMesh {
+            name: String::new(),
+            positions: vectors(positions, |p| DVec3::from(p.map(f64::from))),
+            normals: read3(Semantic::Normals, "normals")?,
+            uvs: read2(Semantic::TexCoords(0), "texture coordinates")?,
+            second_uvs: read2(Semantic::TexCoords(1), "texture coordinates")?,
+            tangents,
+            colours,
+            triangles,
+            material: self.material(&primitive.material())?,
+        }))
+    }
+
+    /// The number of a material among those read, reading it the first time.
+    fn material(&mut self, material: &gltf::Material) -> Result<usize, SceneError> {
+        let number = material.index();
+        if let Some(known) = self.material_numbers.iter().position(|&n| n == number) {
+            return Ok(known);
+        }
+        let read = self.materials.material(material)?;
+        self.model.materials.push(read);
+        self.material_numbers.push(number);
+        Ok(self.model.materials.len() - 1)
+    }
+
+    /// Counts what a node makes, so that many nodes cannot make a small file fill the memory.
+    fn count_vertices(&mut self, n: usize, place: &str) -> Result<(), SceneError> {
+        self.n_vertices += n;
+        if self.n_vertices <= MAX_ELEMENTS {
+            return Ok(());
+        }
+        Err(SceneError::TooLarge {
+            path: self.path.into(),
+            place: place.into(),
+            found: format!("the {}th vertex or triangle", self.n_vertices),
+            limit: MAX_ELEMENTS.to_string(),
+            remedy: "simplify the mesh or split it into several files",
+        })
+    }
+
+    fn finish(mut self) -> Model {
+        self.model.textures = self.materials.textures;
+        self.model.warnings.extend(self.materials.warnings);
+        if self.model.n_triangles() == 0 {
+            self.model.warnings.push("it holds no triangles: nothing of it can be seen".into());
+        }
+        let mut seen = BTreeSet::new();
+        self.model.warnings.retain(|warning| seen.insert(warning.clone()));
+        self.model
+    }
+
+    fn warn(&mut self, warning: String) {
+        self.model.warnings.push(warning);
+    }
+
+    fn broken(&self, place: String, problem: String) -> SceneError {
+        SceneError::Broken { path: self.path.into(), place, problem }
+    }
+}
+
+fn vectors<const N: usize, T>(values: Vec<[f32; N]>, of: impl Fn([f32; N]) -> T) -> Vec<T> {
+    values.into_iter().map(of).collect()
+}
+
+fn local_transform(node: &gltf::Node) -> DAffine3 {
+    use gltf::scene::Transform;
+    match node.transform() {
+        Transform::Matrix { matrix } => {
+            DAffine3::from_mat4(DMat4::from_cols_array_2d(&matrix.map(|c| c.map(f64::from))))
+        }
+        Transform::Decomposed { translation, rotation, scale } => {
+            let rotation = DQuat::from_array(rotation.map(f64::from));
+            let length = rotation.length();
+            let unit = if length > 0.0 { rotation / length } else { DQuat::IDENTITY };
+            DAffine3::from_scale_rotation_translation(
+                DVec3::from(scale.map(f64::from)),
+                unit,
+                DVec3::from(translation.map(f64::from)),
+            )
+        }
+    }
+}
+
+/// Takes a mesh from its node's frame to the file's.
+fn transform(mesh: &mut ModelMesh, world_from_node: &DAffine3) {
+    let matrix: DMat3 = world_from_node.matrix3;
+    for position in &mut mesh.positions {
+        *position = world_from_node.transform_point3(*position);
+    }
+    mesh.normals = transform_normals(&mesh.normals, normal_matrix(&matrix));
+    mesh.tangents = transform_tangents(&mesh.tangents, &matrix);
+    mesh.triangles = turned(&mesh.triangles, matrix.determinant() < 0.0);
+}
+
+/// Triangles of a list, strip or fan (glTF 2.0, 3.7.2.1); every other one of a strip is turned.
+fn triangles(mode: Mode, indices: &[u32]) -> Vec<[u32; 3]> {
+    match mode {
+        Mode::TriangleStrip => indices
+            .windows(3)
+            .enumerate()
+            .map(|(i, w)| if i % 2 == 0 { [w[0], w[1], w[2]] } else { [w[0], w[2], w[1]] })
+            .collect(),
+        Mode::TriangleFan => {
+            let Some((&hub, rim)) = indices.split_first() else { return Vec::new() };
+            rim.windows(2).map(|w| [w[0], w[1], hub]).collect()
+        }
+        _ => indices.as_chunks::<3>().0.to_vec(),
+    }
+}
