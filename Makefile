@@ -1,0 +1,29 @@
+# make demo: the whole pipeline on the demo shot.   make test: every test.
+# Both install the system packages the build needs where they are missing (Debian, Ubuntu).
+
+.PHONY: demo test test-long bench system clean
+
+demo: system
+	cargo build --release --bin platelight --example score_demo
+	cargo run --release --quiet --bin platelight -- run plates/demo/shot.toml --out out/demo
+	cargo run --release --quiet --example score_demo -- out/demo plates/demo
+
+test: system
+	cargo test
+	cargo test -p platelight-calib
+	cargo check --no-default-features --all-targets
+
+# Also makes the demo shot anew (about ten CPU minutes): not one byte of it may differ.
+test-long: test
+	cargo run --release --quiet --example make_demo -- --out out/demo-anew
+	diff -r --exclude=README.md out/demo-anew plates/demo
+
+bench: system
+	cargo bench
+
+system:
+	@tools/install-system.sh
+
+clean:
+	cargo clean
+	rm -rf out
