@@ -5,6 +5,7 @@
 
 mod align;
 pub mod exposure;
+pub mod file;
 mod lint;
 mod merge;
 mod noise;

@@ -6,6 +6,8 @@
 //! This room computes nothing.
 
 mod error;
+mod merge;
+mod preview;
 mod progress;
 
 pub use error::CliError;
@@ -86,11 +88,17 @@ impl Global {
 
 /// The commands; each has its file.
 #[derive(Debug, Subcommand)]
-enum Command {}
+enum Command {
+    Merge(merge::Args),
+    Preview(preview::Args),
+}
 
 /// Runs the command with its arguments.
 fn dispatch(command: &Command, global: &Global) -> Result<Outcome, CliError> {
-    match *command {}
+    match command {
+        Command::Merge(args) => merge::run(args, global),
+        Command::Preview(args) => preview::run(args, global),
+    }
 }
 
 /// How a command ended, when it was not an error.

@@ -17,6 +17,7 @@ pub mod png;
 pub mod radiance_hdr;
 mod raster;
 pub mod tiff;
+pub mod tone;
 
 pub use self::colour::NamedColour;
 pub use self::error::PhotoError;

@@ -1,0 +1,191 @@
+//! `platelight merge`: the photographs of a bracket → one EXR of radiance.
+
+use std::path::PathBuf;
+
+use serde::Serialize;
+
+use super::{CliError, Global, Outcome};
+use crate::bracket::{self, Frame, MergeOptions, Merged, Noise, Validity, exposure};
+use crate::photo::{self, Photo, ReadOptions, colour};
+
+/// Merge an exposure bracket into radiance with variance and validity
+///
+/// The exposures come from EXIF (time, f-number, ISO) or from --times; they are checked against the
+/// pixels. The EXR holds R G B in linear value per exposure, so brackets and plates of one camera
+/// share its scale, and the layers variance and validity.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  platelight merge ball_b*.jpg --out ball.exr\n  \
+                        platelight merge b0.png b1.png b2.png --times 1/10,1/40,1/160 --out ball.exr")]
+pub struct Args {
+    /// The photographs, in any order
+    #[arg(required = true, value_name = "PHOTO")]
+    photos: Vec<PathBuf>,
+    /// The EXR to write
+    #[arg(long, short, value_name = "FILE")]
+    out: PathBuf,
+    /// Shutter times in seconds, one for each photograph in its order (0.1 or 1/10)
+    #[arg(long, value_delimiter = ',', value_name = "TIMES", conflicts_with = "times_file")]
+    times: Option<Vec<String>>,
+    /// File of shutter times: `name time` or `time` on each line
+    #[arg(long, value_name = "FILE")]
+    times_file: Option<PathBuf>,
+    /// Colour space of the photographs, where they do not say it themselves
+    #[arg(long, alias = "color", default_value = "auto", value_name = "NAME")]
+    colour: String,
+    /// Take the stated exposures as true, whatever the pixels say
+    #[arg(long)]
+    trust_times: bool,
+    /// Do not look for shifts between the photographs
+    #[arg(long)]
+    no_align: bool,
+    /// Electrons at white and read noise in electrons, if known [default: measured in the bracket]
+    #[arg(long, value_name = "FULL,READ", value_delimiter = ',', num_args = 2)]
+    noise: Option<Vec<f64>>,
+}
+
+/// What was merged, for people and machines.
+#[derive(Serialize)]
+struct Summary {
+    out: PathBuf,
+    width: usize,
+    height: usize,
+    frames: Vec<FrameSummary>,
+    full_well_e: f64,
+    read_noise_e: f64,
+    noise_measured: bool,
+    /// Pixels seen in two or more frames, in one, clipped in all, below the noise.
+    measured_px: usize,
+    single_px: usize,
+    lower_bound_px: usize,
+    upper_bound_px: usize,
+    warnings: Vec<String>,
+}
+
+#[derive(Serialize)]
+struct FrameSummary {
+    file: PathBuf,
+    stated_exposure: f64,
+    exposure: f64,
+    shift_px: [f64; 2],
+}
+
+pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
+    let options = ReadOptions { colour: colour::named(&args.colour)?, ..ReadOptions::default() };
+    let photos = read_all(&args.photos, &options)?;
+    for photo in &photos {
+        if let Some(bad) = photo.nonfinite {
+            let (path, (x, y)) = (photo.path.display(), bad.first);
+            let n = bad.pixels;
+            global.warn(&format!(
+                "{path}: {n} px are NaN or infinite, first at ({x}, {y}); taken as 0"
+            ));
+        }
+    }
+    let stated = exposures(args, &photos)?;
+    let noise = match args.noise.as_deref() {
+        Some(&[full_well_e, read_noise_e]) if full_well_e > 0.0 && read_noise_e >= 0.0 => {
+            Some(Noise { full_well_e, read_noise_e, measured: true })
+        }
+        Some(_) => return Err(CliError::wrong("--noise: give full well > 0 and read noise ≥ 0")),
+        None => None,
+    };
+    let frames: Vec<Frame> =
+        photos.iter().zip(&stated).map(|(photo, &exposure)| Frame { photo, exposure }).collect();
+    let merge_options =
+        MergeOptions { refine_exposures: !args.trust_times, align: !args.no_align, noise };
+    let merged = bracket::merge(&frames, &merge_options)?;
+    for warning in &merged.warnings {
+        global.warn(&warning.to_string());
+    }
+    bracket::file::write(&args.out, &merged)?;
+    let summary = summary(args, &stated, &merged);
+    global.print(&summary, || text(&summary));
+    Ok(Outcome::Done)
+}
+
+/// Reads every photograph; tells all that cannot be read together.
+fn read_all(paths: &[PathBuf], options: &ReadOptions) -> Result<Vec<Photo>, CliError> {
+    let mut photos = Vec::new();
+    let mut problems = Vec::new();
+    for path in paths {
+        match photo::read(path, options) {
+            Ok(photo) => photos.push(photo),
+            Err(error) => problems.push(error.to_string()),
+        }
+    }
+    if problems.is_empty() { Ok(photos) } else { Err(CliError::several(problems)) }
+}
+
+fn exposures(args: &Args, photos: &[Photo]) -> Result<Vec<f64>, CliError> {
+    let times = match (&args.times, &args.times_file) {
+        (Some(times), _) => {
+            times.iter().map(|t| exposure::parse_time(t)).collect::<Result<Vec<_>, _>>()?
+        }
+        (None, Some(file)) => {
+            let text = std::fs::read_to_string(file)
+                .map_err(|e| CliError::wrong(format!("{}: cannot be read: {e}", file.display())))?;
+            exposure::parse_times(&text, &args.photos)?
+        }
+        (None, None) => return Ok(exposure::from_exif(photos)?),
+    };
+    Ok(exposure::from_times(photos, &times)?)
+}
+
+fn summary(args: &Args, stated: &[f64], merged: &Merged) -> Summary {
+    let validity = merged.radiance.validity.pixels();
+    let count = |class: Validity| validity.iter().filter(|&&v| v == class).count();
+    Summary {
+        out: args.out.clone(),
+        width: merged.radiance.mean.width(),
+        height: merged.radiance.mean.height(),
+        frames: merged
+            .paths
+            .iter()
+            .enumerate()
+            .map(|(k, file)| FrameSummary {
+                file: file.clone(),
+                stated_exposure: stated[k],
+                exposure: merged.exposures[k],
+                shift_px: merged.shifts[k].to_array(),
+            })
+            .collect(),
+        full_well_e: merged.noise.full_well_e,
+        read_noise_e: merged.noise.read_noise_e,
+        noise_measured: merged.noise.measured,
+        measured_px: count(Validity::Measured),
+        single_px: count(Validity::Single),
+        lower_bound_px: count(Validity::LowerBound),
+        upper_bound_px: count(Validity::UpperBound),
+        warnings: merged.warnings.iter().map(ToString::to_string).collect(),
+    }
+}
+
+fn text(summary: &Summary) -> String {
+    let mut lines = vec![format!(
+        "{}: {} × {} px from {} photographs",
+        summary.out.display(),
+        summary.width,
+        summary.height,
+        summary.frames.len()
+    )];
+    for frame in &summary.frames {
+        lines.push(format!(
+            "  {}  exposure {:.4e} (stated {:.4e})  moved ({:+.2}, {:+.2}) px",
+            frame.file.display(),
+            frame.exposure,
+            frame.stated_exposure,
+            frame.shift_px[0],
+            frame.shift_px[1]
+        ));
+    }
+    let origin = if summary.noise_measured { "measured" } else { "assumed" };
+    lines.push(format!(
+        "  full well {:.0} e⁻, read noise {:.1} e⁻ ({origin})",
+        summary.full_well_e, summary.read_noise_e
+    ));
+    lines.push(format!(
+        "  pixels seen twice or more {}, once {}, clipped in all {}, below the noise {}",
+        summary.measured_px, summary.single_px, summary.lower_bound_px, summary.upper_bound_px
+    ));
+    lines.join("\n")
+}
