@@ -13,6 +13,7 @@ use super::camera_keys::{CameraKeys, ExposureKeys, PoseSource};
 use super::frames::Frames;
 use super::keys::{Keys, Problems};
 use super::probe_keys::{Lamp, ProbeKeys, Surroundings};
+use crate::photo::NamedColour;
 
 /// The whole shot file.
 #[derive(Clone, Debug, Serialize)]
@@ -274,7 +275,10 @@ fn read_plate(keys: &Keys, folder: &Path) -> Option<PlateKeys> {
     }
     let exposure = ExposureKeys::read(keys, "exposure");
     let relative_exposure = keys.positive("relative_exposure");
-    let colour = keys.text("colour").filter(|&name| name != "auto").map(str::to_owned);
+    let colour = keys.text("colour").filter(|&name| name != "auto").and_then(|name| {
+        let named = name.parse::<NamedColour>();
+        named.map(|_| name.to_owned()).map_err(|e| keys.problem("colour", &e.to_string())).ok()
+    });
     Some(PlateKeys { file: folder.join(file?), frames, colour, exposure, relative_exposure })
 }
 

@@ -6,6 +6,9 @@ pub mod camera_keys;
 pub mod file;
 pub mod frames;
 pub mod keys;
+pub mod near_field;
+pub mod pictures;
 pub mod probe_keys;
+pub mod watch;
 
 pub use file::{ShotFile, ShotFileError};

@@ -1,0 +1,131 @@
+//! A photograph to draw on: antialiased lines and circles over an 8-bit sRGB picture.
+
+use glam::DVec2;
+
+use crate::conventions::Rgb;
+use crate::photo::colour::srgb_encode;
+use crate::photo::{Image, Samples};
+
+/// 8-bit sRGB.
+pub type Colour = [u8; 3];
+
+/// A picture that is drawn on. Points are in pixels, the centre of the top-left pixel is (0, 0).
+#[derive(Clone, Debug)]
+pub struct Canvas {
+    width: usize,
+    height: usize,
+    data: Vec<u8>,
+}
+
+impl Canvas {
+    /// The picture in sRGB; light above white is clipped.
+    pub fn new(linear: &Image<Rgb>) -> Self {
+        let code = |l: f32| (srgb_encode(l.clamp(0.0, 1.0)) * 255.0).round() as u8;
+        let data = linear.pixels().iter().flat_map(|l| l.to_array().map(code)).collect();
+        Self { width: linear.width(), height: linear.height(), data }
+    }
+
+    /// A line between two points. Points that are not finite draw nothing.
+    pub fn line(&mut self, from: DVec2, to: DVec2, colour: Colour) {
+        let half = self.half_width();
+        if !from.is_finite() || !to.is_finite() {
+            return;
+        }
+        let reach = DVec2::splat(half + 1.0);
+        let low = (from.min(to) - reach).max(DVec2::ZERO);
+        let high = (from.max(to) + reach)
+            .min(DVec2::new(self.width as f64 - 1.0, self.height as f64 - 1.0));
+        if low.x > high.x || low.y > high.y {
+            return;
+        }
+        for y in low.y as usize..=high.y as usize {
+            for x in low.x as usize..=high.x as usize {
+                let distance = distance_to_line(DVec2::new(x as f64, y as f64), from, to);
+                self.blend(x, y, colour, (half + 0.5 - distance).clamp(0.0, 1.0));
+            }
+        }
+    }
+
+    /// Lines through points; a gap where a point is missing.
+    pub fn path(&mut self, points: &[Option<DVec2>], colour: Colour) {
+        for pair in points.windows(2) {
+            if let [Some(from), Some(to)] = *pair {
+                self.line(from, to, colour);
+            }
+        }
+    }
+
+    /// An upright cross, `radius` px from centre to tip.
+    pub fn cross(&mut self, at: DVec2, radius: f64, colour: Colour) {
+        self.line(at - DVec2::X * radius, at + DVec2::X * radius, colour);
+        self.line(at - DVec2::Y * radius, at + DVec2::Y * radius, colour);
+    }
+
+    /// A circle.
+    pub fn circle(&mut self, centre: DVec2, radius: f64, colour: Colour) {
+        let points: Vec<_> = (0..=64)
+            .map(|i| {
+                Some(
+                    centre
+                        + radius * DVec2::from_angle(f64::from(i) / 64.0 * std::f64::consts::TAU),
+                )
+            })
+            .collect();
+        self.path(&points, colour);
+    }
+
+    /// The finished picture.
+    pub fn into_samples(self) -> (usize, usize, Samples) {
+        (self.width, self.height, Samples::U8 { channels: 3, data: self.data })
+    }
+
+    /// Lines stay visible when a 6000 px picture is looked at in a browser.
+    fn half_width(&self) -> f64 {
+        (self.width.max(self.height) as f64 / 1600.0).max(0.6)
+    }
+
+    fn blend(&mut self, x: usize, y: usize, colour: Colour, opacity: f64) {
+        let at = 3 * (y * self.width + x);
+        for (sample, new) in self.data[at..at + 3].iter_mut().zip(colour) {
+            let mixed = f64::from(*sample) * (1.0 - opacity) + f64::from(new) * opacity;
+            *sample = mixed.round() as u8;
+        }
+    }
+}
+
+/// Distance of a point from a line's nearest point.
+fn distance_to_line(point: DVec2, from: DVec2, to: DVec2) -> f64 {
+    let along = to - from;
+    let length_squared = along.length_squared();
+    let t = if length_squared > 0.0 { (point - from).dot(along) / length_squared } else { 0.0 };
+    point.distance(from + along * t.clamp(0.0, 1.0))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn black() -> Canvas {
+        Canvas::new(&Image::filled(9, 5, Rgb::ZERO))
+    }
+
+    #[test]
+    fn a_line_through_pixel_centres_fills_them_and_nothing_far() {
+        let mut canvas = black();
+        canvas.line(DVec2::new(1.0, 2.0), DVec2::new(7.0, 2.0), [255, 0, 0]);
+        let (.., Samples::U8 { data, .. }) = canvas.into_samples() else { panic!() };
+        assert_eq!(data[3 * (2 * 9 + 4)], 255);
+        assert_eq!(data[3 * 4], 0);
+        assert_eq!(data[3 * (2 * 9 + 4) + 1], 0);
+    }
+
+    #[test]
+    fn lines_outside_or_not_finite_draw_nothing() {
+        let mut canvas = black();
+        canvas.line(DVec2::new(-9.0, -9.0), DVec2::new(-3.0, -5.0), [255; 3]);
+        canvas.line(DVec2::NAN, DVec2::ZERO, [255; 3]);
+        canvas.circle(DVec2::new(1e12, 0.0), 3.0, [255; 3]);
+        let (.., Samples::U8 { data, .. }) = canvas.into_samples() else { panic!() };
+        assert!(data.iter().all(|&v| v == 0));
+    }
+}

@@ -1,0 +1,309 @@
+//! report.html: one page with before and after, numbers, warnings and overlays; no network, no
+//! libraries, pictures beside it.
+
+use std::io::Write;
+use std::path::Path;
+
+use maud::{DOCTYPE, Markup, PreEscaped, html};
+
+use super::text::per_cent;
+use super::{Picture, Report, ReportError};
+
+const STYLE: &str = "
+body{font:15px/1.5 system-ui,sans-serif;max-width:1100px;margin:2rem auto;padding:0 1rem;color:#222;background:#fafafa}
+h1{font-size:1.6rem}h2{font-size:1.15rem;margin-top:2.2rem;border-bottom:1px solid #ccc}
+table{border-collapse:collapse}td,th{padding:.15rem .9rem .15rem 0;text-align:left;vertical-align:top}
+td.n{text-align:right;font-variant-numeric:tabular-nums}
+.pair{position:relative}.pair img{width:100%;display:block}.pair img+img{position:absolute;inset:0}
+input[type=range]{width:100%}figure{margin:1rem 0}figure img{max-width:100%}figcaption,.note{color:#555}
+.warning{border-left:4px solid #d80;padding:.2rem .8rem;margin:.5rem 0;background:#fff6e5}
+details pre{overflow:auto;background:#eee;padding:.6rem}
+@media(prefers-color-scheme:dark){body{background:#1b1b1b;color:#ddd}.warning{background:#3a2d10}figcaption,.note{color:#aaa}details pre{background:#2a2a2a}}";
+
+/// Moves the border between the two pictures.
+const SLIDE: &str = "this.previousElementSibling.lastElementChild.style.clipPath=\
+                     'inset(0 0 0 '+this.value+'%)'";
+
+/// Writes report.html; `before` and `after` are file names beside it.
+pub fn write_html(
+    path: &Path,
+    report: &Report,
+    before: &str,
+    after: &str,
+) -> Result<(), ReportError> {
+    let page = page(report, before, after).into_string();
+    crate::photo::atomic::write(path, |file| file.write_all(page.as_bytes()))
+        .map_err(|cause| ReportError { path: path.to_owned(), cause })
+}
+
+fn page(report: &Report, before: &str, after: &str) -> Markup {
+    html! {
+        (DOCTYPE)
+        html lang="en" {
+            head {
+                meta charset="utf-8";
+                meta name="viewport" content="width=device-width";
+                title { "Platelight report" }
+                style { (PreEscaped(STYLE)) }
+            }
+            body {
+                h1 { "Platelight report" }
+                div.pair {
+                    img src=(before) alt="the plate";
+                    img src=(after) alt="the plate with the objects" style="clip-path:inset(0 0 0 50%)";
+                }
+                input type="range" min="0" max="100" value="50" oninput=(SLIDE)
+                    aria-label="before and after";
+                (warnings(report))
+                (budget(report))
+                h2 { "Camera" } (camera(report))
+                h2 { "Pose" } (pose(report))
+                h2 { "Probe and light" } (probe(report))
+                h2 { "Render and composite" } (render(report))
+                @if !report.pictures.is_empty() { h2 { "Overlays" } }
+                @for picture in &report.pictures { (figure(picture)) }
+                h2 { "Time" } (stages(report))
+                details {
+                    summary { "Settings" }
+                    pre { (serde_json::to_string_pretty(&report.shot).unwrap_or_default()) }
+                }
+                p.note { (report.program) ", seed " (report.seed) }
+            }
+        }
+    }
+}
+
+fn warnings(report: &Report) -> Markup {
+    html! {
+        h2 { "Warnings" }
+        @if report.warnings.is_empty() { p { "None." } }
+        @for warning in &report.warnings {
+            div.warning { b { (warning.about) } ": " (warning.message) br; i { (warning.size) } }
+        }
+    }
+}
+
+fn budget(report: &Report) -> Markup {
+    html! {
+        h2 { "How wrong it may be" }
+        @if let Some(cause) = &report.budget.dominated_by {
+            p { "The largest known effect on brightness: " b { (cause) } "." }
+        }
+        table {
+            tr { th { "cause" } th { "1 σ" } th { "brightness" } th { "how it is known" } }
+            @for term in &report.budget.terms {
+                tr {
+                    td { (term.cause) }
+                    td.n { @match term.sigma {
+                        Some(sigma) => { (significant(sigma)) " " (term.unit) }
+                        None => { "not known" }
+                    } }
+                    td.n { (term.brightness.map_or("–".to_owned(), per_cent)) }
+                    td { (term.note) }
+                }
+            }
+        }
+    }
+}
+
+fn rows(rows: &[(&str, String)]) -> Markup {
+    html! {
+        table {
+            @for (name, value) in rows.iter().filter(|(_, value)| !value.is_empty()) {
+                tr { th { (name) } td { (value) } }
+            }
+        }
+    }
+}
+
+fn camera(report: &Report) -> Markup {
+    let c = &report.camera;
+    let sigma = c.sigma_focal_px.map_or(String::new(), |s| format!(" ± {}", significant(s)));
+    let coefficients: Vec<String> =
+        c.distortion_coefficients.iter().map(|&k| significant(k)).collect();
+    html! {
+        (rows(&[
+            ("from", c.source.clone()),
+            ("size", format!("{} × {} px", c.size_px[0], c.size_px[1])),
+            ("focal length", format!("{:.2}, {:.2}{sigma} px", c.focal_px[0], c.focal_px[1])),
+            ("principal point", format!("{:.2}, {:.2} px", c.principal_point_px[0], c.principal_point_px[1])),
+            ("distortion", format!("{} {}", c.distortion, coefficients.join(", "))),
+            ("projection σ over the frame", px(c.sigma_projection_px)),
+            ("residual", px(c.rms_px)),
+        ]))
+        @if !c.views.is_empty() {
+            details {
+                summary { (c.views.len()) " photographs" }
+                table {
+                    @for view in &c.views {
+                        tr {
+                            td { (view.photo.display()) }
+                            td.n { (px(view.rms_px)) }
+                            td { (view.rejected.as_deref().unwrap_or("")) }
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+fn pose(report: &Report) -> Markup {
+    let p = &report.pose;
+    let [x, y, z] = p.position_m;
+    rows(&[
+        ("from", p.source.clone()),
+        ("camera stands at", format!("{x:.4}, {y:.4}, {z:.4} m")),
+        (
+            "σ of the place",
+            p.sigma_position_m.map_or(String::new(), |s| {
+                let mm = s.map(|m| significant(1000.0 * m));
+                format!("{} mm", mm.join(", "))
+            }),
+        ),
+        (
+            "σ of the rotation",
+            p.sigma_rotation_deg
+                .map_or(String::new(), |s| format!("{}°", s.map(significant).join("°, "))),
+        ),
+        ("residual", px(p.rms_px)),
+        ("slip at the objects", px(p.slip_px)),
+        ("another pose", p.ambiguity.clone().unwrap_or_default()),
+    ])
+}
+
+fn probe(report: &Report) -> Markup {
+    let p = &report.probe;
+    let exposures: Vec<String> = p.exposures.iter().map(|&e| significant(e)).collect();
+    let [r, g, b] = report.lights.irradiance_up;
+    html! {
+        (rows(&[
+            ("from", p.source.clone()),
+            ("exposures t·(ISO/100)/N²", format!("{} ({})", exposures.join(", "), p.exposure_source)),
+            ("radiance × this = plate", format!("{} ({})", significant(p.plate_exposure), p.plate_exposure_source)),
+            ("ball", p.ball_px.map_or(String::new(), |[x, y, r]| format!("centre {x:.1}, {y:.1}, radius {r:.1} px"))),
+            ("σ of the ball", px(p.sigma_ball_px)),
+            ("σ of directions", p.sigma_direction_deg.map_or(String::new(), |d| format!("{}°", significant(d)))),
+            ("seen", format!("{} of the sphere", per_cent(p.seen_share))),
+            ("irradiance on level ground", format!("{r:.3}, {g:.3}, {b:.3} (plate scale)")),
+        ]))
+        @if !report.lights.suns.is_empty() {
+            table {
+                tr { th { "light" } th { "azimuth" } th { "elevation" } th { "half-angle" } th { "irradiance" } }
+                @for (i, sun) in report.lights.suns.iter().enumerate() {
+                    tr {
+                        td { (i + 1) }
+                        td.n { (format!("{:.2}°", sun.azimuth_deg)) }
+                        td.n { (format!("{:.2}°", sun.elevation_deg)) }
+                        td.n { (format!("{:.2}°", sun.half_angle_deg)) }
+                        td.n { (sun.irradiance.map(|e| format!("{e:.3}")).join(", ")) }
+                    }
+                }
+            }
+        }
+        @if !p.clipped.is_empty() {
+            table {
+                tr { th { "clipped light" } th { "azimuth" } th { "elevation" } th { "solid angle" } th { "treated" } }
+                @for (i, light) in p.clipped.iter().enumerate() {
+                    tr {
+                        td { (i + 1) }
+                        td.n { (format!("{:.1}°", light.azimuth_deg)) }
+                        td.n { (format!("{:.1}°", light.elevation_deg)) }
+                        td.n { (significant(light.solid_angle_sr)) " sr" }
+                        td { (light.treatment) }
+                    }
+                }
+            }
+        }
+    }
+}
+
+fn render(report: &Report) -> Markup {
+    let r = &report.render;
+    let c = &report.composite;
+    let cpu = r.cpu_seconds.map_or(String::new(), |s| format!(", {s:.1} CPU s"));
+    rows(&[
+        ("method", r.method.clone()),
+        ("stop at", r.stop.clone()),
+        ("error reached", format!("{} of the plate", per_cent(r.error))),
+        ("camera samples", format!("{} in {} waves, {:.1} s{cpu}", r.samples, r.waves, r.seconds)),
+        ("ended early", if r.complete { String::new() } else { "stopped by the user".to_owned() }),
+        ("mode", format!("{}: {}", c.mode, c.reason)),
+        ("changed", format!("{} px", c.tally.changed)),
+        (
+            "albedo of the support",
+            c.albedo_median.map_or(String::new(), |a| {
+                format!("{:.3}, {:.3}, {:.3} (median)", a[0], a[1], a[2])
+            }),
+        ),
+    ])
+}
+
+fn stages(report: &Report) -> Markup {
+    html! {
+        table {
+            tr { th { "stage" } th { "seconds" } th { "CPU seconds" } }
+            @for stage in &report.stages {
+                tr {
+                    td { (stage.name) }
+                    td.n { (format!("{:.2}", stage.seconds)) }
+                    td.n { (stage.cpu_seconds.map_or("–".to_owned(), |s| format!("{s:.2}"))) }
+                }
+            }
+        }
+    }
+}
+
+fn figure(picture: &Picture) -> Markup {
+    html! {
+        figure {
+            a href=(picture.file) { img src=(picture.file) alt=(picture.title) loading="lazy"; }
+            figcaption { b { (picture.title) } ". " (picture.caption) }
+        }
+    }
+}
+
+fn px(value: Option<f64>) -> String {
+    value.map_or(String::new(), |v| format!("{} px", significant(v)))
+}
+
+/// Three figures that count.
+fn significant(value: f64) -> String {
+    if value == 0.0 || !value.is_finite() {
+        return format!("{value}");
+    }
+    let digits = 2 - value.abs().log10().floor() as i32;
+    match digits {
+        8.. => format!("{value:.2e}"),
+        0..8 => format!("{value:.*}", digits as usize),
+        _ => format!("{value:.0}"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::report::Warning;
+
+    #[test]
+    fn the_page_shows_warnings_and_escapes_names() {
+        let mut report = Report::default();
+        report.warnings.push(Warning::new("probe", "a <script> in a name", "up to 3 %"));
+        let page = page(&report, "before.png", "after.png").into_string();
+        assert!(page.contains("a &lt;script&gt; in a name") && page.contains("up to 3 %"));
+        assert!(page.contains("before.png") && page.contains("after.png"));
+    }
+
+    #[test]
+    fn numbers_have_three_figures() {
+        for (value, text) in [
+            (0.0, "0"),
+            (1234.5, "1234"),
+            (12.345, "12.3"),
+            (0.0012345, "0.00123"),
+            (1e-9, "1.00e-9"),
+        ] {
+            assert_eq!(significant(value), text);
+        }
+    }
+}

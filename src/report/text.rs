@@ -1,0 +1,85 @@
+//! The report in a few lines, for the terminal.
+
+use super::Report;
+
+/// What a person wants to know first: where the lens, place and light come from, how exact they
+/// are, what it cost, and what may be wrong.
+pub fn summary(report: &Report) -> String {
+    let camera = &report.camera;
+    let mut lines = vec![format!(
+        "camera   focal {:.1} px{} ({})",
+        camera.focal_px[0],
+        plus_minus(camera.sigma_focal_px, 1, " px"),
+        camera.source
+    )];
+    let pose = &report.pose;
+    lines.push(format!(
+        "pose     slip {} ({})",
+        pose.slip_px.map_or("not known".to_owned(), |s| format!("± {s:.2} px at the objects")),
+        pose.source
+    ));
+    let probe = &report.probe;
+    lines.push(format!(
+        "probe    {} of the sphere seen{} ({})",
+        per_cent(probe.seen_share),
+        probe.sigma_direction_deg.map_or(String::new(), |d| format!(", directions ± {d:.2}°")),
+        probe.source
+    ));
+    for sun in &report.lights.suns {
+        lines.push(format!(
+            "light    azimuth {:.1}°, elevation {:.1}°, irradiance {:.2}",
+            sun.azimuth_deg, sun.elevation_deg, sun.irradiance[1]
+        ));
+    }
+    let render = &report.render;
+    lines.push(format!(
+        "render   error {} in {:.1} s{}, {} samples{}",
+        per_cent(render.error),
+        render.seconds,
+        render.cpu_seconds.map_or(String::new(), |s| format!(" ({s:.1} CPU s)")),
+        render.samples,
+        if render.complete { "" } else { ", stopped early" }
+    ));
+    lines.push(format!(
+        "result   {} px changed, {}; {}",
+        report.composite.tally.changed, report.composite.mode, report.composite.reason
+    ));
+    if let Some(cause) = &report.budget.dominated_by {
+        lines.push(format!("error    dominated by: {cause}"));
+    }
+    lines.join("\n")
+}
+
+fn plus_minus(sigma: Option<f64>, digits: usize, unit: &str) -> String {
+    sigma.map_or(String::new(), |s| format!(" ± {s:.digits$}{unit}"))
+}
+
+/// A share as per cent with two figures that count.
+pub(super) fn per_cent(share: f64) -> String {
+    let percent = 100.0 * share;
+    let digits = if percent == 0.0 || percent >= 10.0 {
+        0
+    } else {
+        (1.0 - percent.abs().log10().floor()).clamp(0.0, 4.0) as usize
+    };
+    format!("{percent:.digits$} %")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn shares_have_two_figures() {
+        for (share, text) in [(0.0, "0 %"), (0.5, "50 %"), (0.0123, "1.2 %"), (0.00123, "0.12 %")] {
+            assert_eq!(per_cent(share), text);
+        }
+    }
+
+    #[test]
+    fn summary_names_what_dominates() {
+        let mut report = Report::default();
+        report.budget.dominated_by = Some("the ball's reflectance".to_owned());
+        assert!(summary(&report).contains("dominated by: the ball's reflectance"));
+    }
+}
