@@ -10,6 +10,7 @@ pub mod board;
 mod bundle;
 pub mod calibrate;
 mod choice;
+mod edge_lines;
 pub mod lens;
 mod mat;
 mod projection;
