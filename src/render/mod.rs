@@ -3,6 +3,11 @@
 //! [`Scene`](crate::scene::Scene) + `Lights` + [`Camera`](crate::camera::Camera) + plate →
 //! [`Difference`], through an [`Integrator`] in waves. This room never writes a picture.
 
+pub mod bsdf;
+pub mod fresnel;
+pub mod ggx;
+pub mod sampler;
+
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
