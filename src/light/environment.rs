@@ -8,7 +8,10 @@
 
 use std::f64::consts::PI;
 
+
+
 use glam::{DMat3, DQuat, DVec2, DVec3, Mat3, Vec3, Vec4};
+use rayon::prelude::*;
 
 use super::LightError;
 use super::table::GridTable;
@@ -133,16 +136,45 @@ impl Environment {
     }
 
     /// Irradiance of an unoccluded plane with unit `normal` (world axes).
+    ///
+    /// Closed form for every texel above the plane, halved along its horizon. Rows go in parallel
+    /// and are summed in order.
     pub fn irradiance(&self, normal: DVec3) -> DVec3 {
         let n = self.map_from_world.as_dmat3() * normal;
+        let edges: Vec<(f64, f64)> = (0..=self.width)
+            .map(|i| ((0.5 - i as f64 / self.width as f64) * 2.0 * PI).sin_cos())
+            .collect();
+        let rows: Vec<DVec3> = (0..self.height)
+            .into_par_iter()
+            .map(|row| self.row_irradiance(row, n, &edges))
+            .collect();
+        rows.into_iter().sum()
+    }
+
+    fn row_irradiance(&self, row: usize, n: DVec3, edges: &[(f64, f64)]) -> DVec3 {
+        let cosines = [self.row_cosines[row], self.row_cosines[row + 1]];
+        let (ring, lift) = ring_areas(cosines);
+        let (_, radius) = self.patch(0, row).bounding_cap();
+        let middle = (0.5 * (cosines[0].acos() + cosines[1].acos())).sin_cos();
+        let slice = 2.0 * PI / self.width as f64;
         let mut sum = DVec3::ZERO;
-        for row in 0..self.height {
-            for column in 0..self.width {
-                let l = self.texels[row * self.width + column].truncate().as_dvec3();
-                if l != DVec3::ZERO {
-                    sum += l * self.patch(column, row).cosine_integral(n, 0);
-                }
+        for column in 0..self.width {
+            let l = self.texels[row * self.width + column].truncate().as_dvec3();
+            if l == DVec3::ZERO {
+                continue;
             }
+            let ((s0, c0), (s1, c1)) = (edges[column], edges[column + 1]);
+            // The chord's middle points at the texel's middle longitude, if the texel is narrow.
+            let toward = DVec3::new(0.5 * (s0 + s1) * middle.0, middle.1, 0.5 * (c0 + c1) * middle.0);
+            let elevation_sine = n.dot(toward);
+            let narrow = self.width >= 64;
+            sum += l * if narrow && elevation_sine > 1.1 * radius + 1e-3 {
+                n.dot(DVec3::new((c1 - c0) * ring, lift * slice, (s0 - s1) * ring))
+            } else if narrow && elevation_sine < -1.1 * radius - 1e-3 {
+                0.0
+            } else {
+                self.patch(column, row).cosine_integral(n, 0)
+            };
         }
         sum
     }
@@ -249,6 +281,12 @@ fn fill_densities(
     Some(table)
 }
 
+/// ∫ √(1 − y²) dy and ∫ y dy between two polar cosines.
+fn ring_areas([c0, c1]: [f64; 2]) -> (f64, f64) {
+    let g = |y: f64| 0.5 * (y * (1.0 - y * y).max(0.0).sqrt() + y.clamp(-1.0, 1.0).asin());
+    (g(c0) - g(c1), 0.5 * (c0 * c0 - c1 * c1))
+}
+
 /// A piece of the sphere between two longitudes and two polar cosines, map axes.
 #[derive(Clone, Copy, Debug)]
 struct Patch {
@@ -266,12 +304,8 @@ impl Patch {
     /// ∫ ω dω over the patch, in closed form.
     fn vector_area(&self) -> DVec3 {
         let [l0, l1] = self.longitude;
-        let [c0, c1] = self.cosine;
-        // ∫ √(1−y²) dy
-        let g = |y: f64| 0.5 * (y * (1.0 - y * y).max(0.0).sqrt() + y.clamp(-1.0, 1.0).asin());
-        let ring = g(c0) - g(c1);
-        let y = 0.5 * (c0 * c0 - c1 * c1) * (l0 - l1);
-        DVec3::new((l1.cos() - l0.cos()) * ring, y, (l0.sin() - l1.sin()) * ring)
+        let (ring, lift) = ring_areas(self.cosine);
+        DVec3::new((l1.cos() - l0.cos()) * ring, lift * (l0 - l1), (l0.sin() - l1.sin()) * ring)
     }
 
     /// ∫ max(0, n·ω) dω over the patch: closed form above the horizon, halved along it.

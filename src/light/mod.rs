@@ -94,6 +94,12 @@ impl Lights {
         Self { environment, suns, sun_sums }
     }
 
+    /// The same lights and more discs, say a sun recovered from the plate.
+    pub fn with_discs(mut self, discs: impl IntoIterator<Item = Disc>) -> Self {
+        self.suns.extend(discs);
+        Self::from_parts(self.environment, self.suns)
+    }
+
     /// How many draws a renderer takes for one look at the lights: 0, 1 or 2.
     ///
     /// 0 is legal: a constant environment is left entirely to BSDF sampling.

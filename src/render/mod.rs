@@ -3,10 +3,24 @@
 //! [`Scene`](crate::scene::Scene) + `Lights` + [`Camera`](crate::camera::Camera) + plate →
 //! [`Difference`], through an [`Integrator`] in waves. This room never writes a picture.
 
+pub mod albedo;
 pub mod bsdf;
+pub mod cones;
+pub mod coupled;
+pub mod film;
 pub mod fresnel;
 pub mod ggx;
+pub mod job;
+pub mod primary;
 pub mod sampler;
+pub mod skylight;
+pub mod surface;
+pub mod two_pass;
+pub mod waves;
+pub mod world;
+
+pub use job::{Job, Method, RenderError, integrator};
+pub use sampler::Numbers;
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};

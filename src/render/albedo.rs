@@ -1,0 +1,197 @@
+//! The local surface's albedo, solved from the plate: ρ = π P / E₀ (methods-render R9.2).
+//!
+//! E₀ is the irradiance without objects, by what the estimator itself sees: local occlusion and light
+//! from other local surfaces (which is the plate, where the plate shows them). It is smooth but for
+//! shadow edges, so it is solved on a coarse grid of pixels; P keeps the texture. Only bounces use
+//! this albedo: at the camera's own point it cancels.
+
+use glam::{Vec2, Vec3};
+use rayon::prelude::*;
+
+use super::coupled::Want;
+use super::primary::Primary;
+use super::sampler::{Numbers, Sampler};
+use super::surface::Colouring;
+use super::world::World;
+use crate::conventions::Rgb;
+use crate::photo::Image;
+use crate::render::Context;
+use crate::scene::{AlbedoSource, Scene};
+
+/// Largest albedo of a bounce: above it light would not die out (G15).
+pub const LARGEST_BOUNCE: f32 = 0.95;
+/// Assumed where the plate shows nothing of a surface: between asphalt and concrete.
+const UNKNOWN: Rgb = Rgb::splat(0.25);
+/// Nodes of the grid, at most about this many.
+const NODES: usize = 8000;
+const SAMPLES: u32 = 64;
+
+/// E₀/π where a grid node's camera ray meets a local surface.
+#[derive(Clone, Copy, Debug)]
+struct Node {
+    mesh: usize,
+    radiance: Rgb,
+}
+
+/// Irradiance without objects on a grid over the plate, and mean albedos.
+#[derive(Clone, Debug)]
+pub struct AlbedoMap {
+    step: usize,
+    columns: usize,
+    nodes: Vec<Option<Node>>,
+    means: Vec<Rgb>,
+    share_above: f32,
+}
+
+impl AlbedoMap {
+    /// What is assumed before anything is solved.
+    pub fn unknown(scene: &Scene) -> Self {
+        let means = scene
+            .local
+            .iter()
+            .map(|l| if let AlbedoSource::Constant(a) = l.albedo { a } else { UNKNOWN })
+            .collect();
+        Self { step: 1, columns: 0, nodes: Vec::new(), means, share_above: 0.0 }
+    }
+
+    /// Solves on a grid. A coarse round first finds the mean albedos that hidden surfaces need.
+    pub fn solve(world: &mut World, primary: &Primary, context: &Context) {
+        let pixels = world.plate.width() * world.plate.height();
+        let step = ((pixels as f64 / NODES as f64).sqrt().ceil() as usize).max(1);
+        for (step, samples) in [(4 * step, SAMPLES / 4), (step, SAMPLES)] {
+            let map = Self::on_grid(world, primary, step, samples, context);
+            world.albedo = map;
+        }
+    }
+
+    fn on_grid(
+        world: &World,
+        primary: &Primary,
+        step: usize,
+        samples: u32,
+        context: &Context,
+    ) -> Self {
+        let (width, height) = (world.plate.width(), world.plate.height());
+        let (columns, rows) = (width.div_ceil(step), height.div_ceil(step));
+        let centre = |k: usize, size: usize| (k * step + step / 2).min(size - 1);
+        let nodes: Vec<Option<Node>> = (0..columns * rows)
+            .into_par_iter()
+            .map(|k| {
+                if context.is_cancelled() {
+                    return None;
+                }
+                let pixel = (centre(k % columns, width), centre(k / columns, height));
+                node(world, primary, pixel, samples, context.seed)
+            })
+            .collect();
+
+        let mut map = Self { step, columns, nodes, ..world.albedo.clone() };
+        let mut found: Vec<Vec<Rgb>> = vec![Vec::new(); world.scene.local.len()];
+        let (mut above, mut counted) = (0, 0);
+        for (k, node) in map.nodes.iter().enumerate() {
+            let Some(node) = node else { continue };
+            if world.scene.local[node.mesh].albedo != AlbedoSource::Plate {
+                continue;
+            }
+            let x = centre(k % columns, width);
+            let y = centre(k / columns, height);
+            let albedo = world.plate[(x, y)] / node.radiance.max(Vec3::splat(1e-9));
+            above += usize::from(albedo.max_element() > LARGEST_BOUNCE);
+            counted += 1;
+            found[node.mesh].push(albedo.min(Rgb::splat(LARGEST_BOUNCE)));
+        }
+        for (mesh, albedos) in found.iter().enumerate() {
+            if !albedos.is_empty() {
+                map.means[mesh] = albedos.iter().sum::<Rgb>() / albedos.len() as f32;
+            }
+        }
+        map.share_above = if counted > 0 { above as f32 / counted as f32 } else { 0.0 };
+        map
+    }
+
+    /// Share of the solved surface whose albedo would exceed 0.95: if large, the plate's exposure
+    /// does not fit the probe's.
+    pub fn share_above(&self) -> f32 {
+        self.share_above
+    }
+
+    /// Mean albedo of a local mesh where the plate shows it.
+    pub fn mean(&self, mesh: usize) -> Rgb {
+        self.means[mesh]
+    }
+
+    /// E₀/π at a pixel position on a mesh, from the nodes around that lie on the same mesh.
+    pub fn irradiance(&self, pixel: Vec2, mesh: usize) -> Option<Rgb> {
+        if self.nodes.is_empty() {
+            return None;
+        }
+        let rows = self.nodes.len() / self.columns;
+        let at = (pixel - self.step as f32 * 0.5).max(Vec2::ZERO) / self.step as f32;
+        let (i, j) = (at.x as usize, at.y as usize);
+        let f = at - Vec2::new(i as f32, j as f32);
+        let (mut sum, mut weights) = (Rgb::ZERO, 0.0);
+        for (di, dj) in [(0, 0), (1, 0), (0, 1), (1, 1)] {
+            let (column, row) = ((i + di).min(self.columns - 1), (j + dj).min(rows - 1));
+            let Some(node) = &self.nodes[row * self.columns + column] else { continue };
+            if node.mesh != mesh {
+                continue;
+            }
+            let wx = if di == 0 { 1.0 - f.x } else { f.x };
+            let wy = if dj == 0 { 1.0 - f.y } else { f.y };
+            let weight = (wx * wy).max(1e-3);
+            sum += node.radiance * weight;
+            weights += weight;
+        }
+        (weights > 0.0).then(|| sum / weights)
+    }
+
+    /// Albedo for bounces at a pixel position where the plate is `plate`, each channel 0…0.95.
+    pub fn albedo(&self, plate: Rgb, pixel: Vec2, mesh: usize) -> Rgb {
+        let Some(radiance) = self.irradiance(pixel, mesh) else { return self.means[mesh] };
+        let mean = self.means[mesh];
+        let channel = |c: usize| {
+            // In the dark the quotient is noise over noise.
+            if radiance[c] > 1e-9 { plate[c] / radiance[c] } else { mean[c] }
+        };
+        Rgb::new(channel(0), channel(1), channel(2)).clamp(Rgb::ZERO, Rgb::splat(LARGEST_BOUNCE))
+    }
+
+    /// The albedo layer: 0 where the plate shows nothing local that is diffuse.
+    pub fn layer(&self, world: &World, first_local: &Image<Option<usize>>) -> Image<Rgb> {
+        Image::from_fn(world.plate.width(), world.plate.height(), |x, y| {
+            let Some(mesh) = first_local[(x, y)] else { return Rgb::ZERO };
+            match world.scene.local[mesh].albedo {
+                AlbedoSource::Constant(albedo) => albedo,
+                AlbedoSource::Plate => {
+                    let pixel = Vec2::new(x as f32, y as f32);
+                    self.albedo(world.plate[(x, y)], pixel, mesh)
+                }
+                AlbedoSource::Material => Rgb::ZERO,
+            }
+        })
+    }
+}
+
+fn node(
+    world: &World,
+    primary: &Primary,
+    pixel: (usize, usize),
+    samples: u32,
+    seed: u64,
+) -> Option<Node> {
+    let ray = primary.ray(pixel.0, pixel.1, 0.5, 0.5)?;
+    let sampler = |index| Sampler::new(seed ^ 0xa1be_d0, pixel, u32::MAX, index, Numbers::SobolOwen);
+    let hit = world.closest_local(&ray, &sampler(0))?;
+    let point = world.local_point(&ray, &hit);
+    if point.colour == Colouring::Own {
+        return None;
+    }
+    let exact = world.skylight.radiance(point.surface.geometric).filter(|_| world.flat);
+    let radiance = exact.unwrap_or_else(|| {
+        let sum: Rgb = (0..samples)
+            .map(|index| world.look(&point, Want::Without, sampler(index), 0).without)
+            .sum();
+        sum / samples as f32
+    });
+    Some(Node { mesh: point.mesh, radiance })
+}

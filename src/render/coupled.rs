@@ -1,0 +1,428 @@
+//! THE estimator: one path, two worlds.
+//!
+//! At a local point x (methods-render R2.1) D(x) = ∫ f cosθ ΔL dω, where along ω
+//! - an object is first: ΔL = L_with(object) − L_without(what is behind it),
+//! - something local at z is first: ΔL = D(z),
+//! - nothing is met: ΔL = 0.
+//!
+//! Each look takes one draw from every stratum of the lights, for the blocked light only (any-hit
+//! rays), and one draw from a mixture of the BSDF and cones toward the objects, which also finds what
+//! objects reflect and what local surfaces pass on. Blocked light is weighted by the balance heuristic
+//! over all of them, the rest by the mixture's own density. Nothing is added where no object is
+//! touched: D is exactly zero there.
+//! The same draws estimate the light without objects, L_without, as the ratio D / L_without needs it;
+//! where the plain horizon irradiance is known exactly and nearly right it serves as control variate.
+
+use glam::Vec3;
+
+use super::bsdf::Bsdf;
+use super::cones::Cones;
+use super::primary::Primary;
+use super::sampler::{Purpose, Sampler, to_f32};
+use super::surface::{Colouring, LocalPoint, Surface};
+use super::waves::{Estimator, Sample};
+use super::world::World;
+use super::{Context, waves};
+use crate::conventions::Rgb;
+use crate::trace::{Hit, Ray};
+
+/// Longest path, in edges after the camera's.
+pub const MAX_DEPTH: u32 = 8;
+/// From this depth on paths end by chance.
+const ROULETTE_DEPTH: u32 = 2;
+/// Share of draws toward the objects where nothing local can be met, and where it can.
+const CONE_SHARE_FLAT: f32 = 0.9;
+const CONE_SHARE: f32 = 0.5;
+
+/// (with − without) and without, of one look at a local point.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Pair {
+    pub delta: Rgb,
+    pub without: Rgb,
+}
+
+/// What is asked of a look.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Want {
+    /// D alone.
+    Difference,
+    /// L_without alone: no object is looked for.
+    Without,
+    /// Both; with the unoccluded value of L_without if it shall be the control variate.
+    Both(Option<Rgb>),
+}
+
+impl Want {
+    fn difference(self) -> bool {
+        self != Self::Without
+    }
+
+    fn without(self) -> bool {
+        self != Self::Difference
+    }
+
+    fn control(self) -> Option<Rgb> {
+        if let Self::Both(control) = self { control } else { None }
+    }
+}
+
+/// The coupled estimator for camera samples.
+pub struct Coupled<'a> {
+    pub world: World<'a>,
+    pub primary: Primary,
+}
+
+impl Estimator for Coupled<'_> {
+    fn world(&self) -> &World<'_> {
+        &self.world
+    }
+
+    fn primary(&self) -> &Primary {
+        &self.primary
+    }
+
+    fn prepare(&mut self, context: &Context) {
+        waves::solve_albedo(&mut self.world, &self.primary, context);
+    }
+
+    fn sample(&self, x: usize, y: usize, sampler: Sampler) -> Sample {
+        let jitter = sampler.pair(Purpose::Pixel);
+        let Some(ray) = self.primary.ray(x, y, to_f32(jitter.x), to_f32(jitter.y)) else {
+            return Sample::default();
+        };
+        let step = self.world.camera_step(&ray, &sampler);
+        if let Some(hit) = step.object {
+            let radiance = self.world.object_radiance(&ray, &hit, sampler.descend(0), 0);
+            return Sample { coverage: 1.0, object: radiance, ..Sample::default() };
+        }
+        let Some(hit) = step.local else { return Sample::default() };
+        let point = self.world.local_point(&ray, &hit);
+        let want = Want::Both(self.world.control_for(&point, x, y));
+        let pair = self.world.look(&point, want, sampler.descend(0), 0);
+        Sample::background(point.colour, self.world.albedo.mean(point.mesh), pair)
+    }
+}
+
+impl World<'_> {
+    /// The unoccluded L_without of a point, if it is a good control variate in pixel (x, y).
+    fn control_for(&self, point: &LocalPoint, x: usize, y: usize) -> Option<Rgb> {
+        if point.colour == Colouring::Own {
+            return None;
+        }
+        let exact = self.skylight.radiance(point.surface.geometric)?;
+        if self.flat {
+            return Some(exact);
+        }
+        // In a real shadow most of the unoccluded light is blocked: there the difference of two
+        // large numbers would be noisier than the light itself.
+        let pixel = glam::Vec2::new(x as f32, y as f32);
+        let known = self.albedo.irradiance(pixel, point.mesh)?;
+        (known.element_sum() > 0.6 * exact.element_sum()).then_some(exact)
+    }
+
+    /// One look from a local point: D and L_without for its BSDF (white Lambert unless `Own`).
+    pub fn look(&self, point: &LocalPoint, want: Want, sampler: Sampler, depth: u32) -> Pair {
+        let surface = &point.surface;
+        let mut pair = Pair { without: want.control().unwrap_or(Rgb::ZERO), ..Pair::default() };
+        let share = if self.flat { CONE_SHARE_FLAT } else { CONE_SHARE };
+        let cones = if want.difference() {
+            Cones::new(&self.parts, surface.position, surface.geometric, share)
+        } else {
+            Cones::none()
+        };
+        let exact = self.flat && (want.control().is_some() || !want.without());
+        if exact && !cones.any_above() {
+            return pair;
+        }
+        let look = Look { world: self, surface, want, cones: &cones, exact, depth };
+        for stratum in 0..self.lights.n_strata() {
+            look.toward_light(stratum, &sampler, &mut pair);
+        }
+        look.along_mixture(&sampler, &mut pair);
+        pair
+    }
+
+    /// Radiance of both worlds leaving a local point toward where the ray came from.
+    pub fn local_radiance(
+        &self,
+        point: &LocalPoint,
+        want: Want,
+        power: f32,
+        sampler: Sampler,
+        depth: u32,
+    ) -> Pair {
+        let albedo = |pixel: Option<glam::Vec2>| match (point.colour, pixel) {
+            (Colouring::Own, _) => Rgb::ONE,
+            (Colouring::Matt(albedo), _) => albedo,
+            (Colouring::Plate, Some(p)) => {
+                self.albedo.albedo(self.plate_at(p), p, point.mesh)
+            }
+            (Colouring::Plate, None) => self.albedo.mean(point.mesh),
+        };
+        // A mirror in the real scene looks different from here than from the camera.
+        let seen = if point.colour == Colouring::Own {
+            None
+        } else {
+            self.pixel_of(&point.surface, &sampler)
+        };
+        let albedo = albedo(seen);
+        let mut known = Pair::default();
+        let mut still = want;
+        if let Some(pixel) = seen {
+            known.without = self.plate_at(pixel);
+            still = Want::Difference;
+            if !want.difference() {
+                return known;
+            }
+        }
+        if depth >= MAX_DEPTH {
+            return known;
+        }
+        let survival = if depth < ROULETTE_DEPTH {
+            1.0
+        } else {
+            (power * albedo.max_element() * 2.0).clamp(0.05, 1.0)
+        };
+        if sampler.one(Purpose::Roulette) >= survival {
+            return known;
+        }
+        let pair = self.look(point, still, sampler, depth);
+        let scale = albedo / survival;
+        Pair { delta: pair.delta * scale, without: known.without + pair.without * scale }
+    }
+
+    /// Radiance in the world with objects that an object sends back along a ray.
+    pub fn object_radiance(&self, ray: &Ray, hit: &Hit, sampler: Sampler, depth: u32) -> Rgb {
+        let mut ray = *ray;
+        let mut hit = *hit;
+        let mut sampler = sampler;
+        let mut radiance = Rgb::ZERO;
+        let mut throughput = Rgb::ONE;
+        for depth in depth..=MAX_DEPTH + 4 {
+            let point = self.object_point(&ray, &hit);
+            if let Some(per_metre) = point.inside {
+                throughput *= per_metre.powf(hit.t);
+            }
+            radiance += throughput * point.emitted;
+            let surface = &point.surface;
+            for stratum in 0..self.lights.n_strata() {
+                radiance += throughput * self.lit_with(surface, stratum, &sampler);
+            }
+            // Sample the BSDF and go on
+            let u = sampler.pair(Purpose::Direction).as_vec2();
+            let choice = sampler.one(Purpose::Choice);
+            let Some(scattered) = sample_clamped(&surface.bsdf, surface.wo, u, choice) else { break };
+            let direction = surface.to_world(scattered.direction);
+            if (scattered.direction.z > 0.0) != (surface.geometric.dot(direction) > 0.0) {
+                break;
+            }
+            throughput *= scattered.weight;
+            if depth >= ROULETTE_DEPTH {
+                let survival = throughput.max_element().clamp(0.05, 0.95);
+                if sampler.one(Purpose::Roulette) >= survival {
+                    break;
+                }
+                throughput /= survival;
+            }
+            sampler = sampler.descend(1);
+            ray = self.leave(surface.position, surface.geometric, direction);
+            let step = self.step(&ray, &sampler);
+            if let Some(next) = step.object {
+                hit = next;
+                continue;
+            }
+            if let Some(local) = step.local {
+                let z = self.local_point(&ray, &local);
+                let power = throughput.max_element();
+                let pair = self.local_radiance(
+                    &z,
+                    Want::Both(None),
+                    power,
+                    sampler.descend(2),
+                    depth + 1,
+                );
+                radiance += throughput * (pair.without + pair.delta);
+            } else {
+                let (l, pdf) = self.lights.evaluate(direction);
+                let weight = if scattered.pdf.is_finite() {
+                    scattered.pdf / (scattered.pdf + pdf)
+                } else {
+                    1.0
+                };
+                radiance += throughput * l * weight;
+            }
+            break;
+        }
+        radiance
+    }
+
+    /// Light of one stratum reflected by an object, visible past everything of both kinds.
+    fn lit_with(&self, surface: &Surface, stratum: usize, sampler: &Sampler) -> Rgb {
+        let u = sampler.pair(purpose_of(stratum));
+        let Some(light) = self.lights.sample(stratum, u) else { return Rgb::ZERO };
+        let (value, pdf) = surface.evaluate(light.direction);
+        if value == Rgb::ZERO || light.radiance == Rgb::ZERO {
+            return Rgb::ZERO;
+        }
+        let ray = self.leave(surface.position, surface.geometric, light.direction);
+        if self.object_occluded(&ray, sampler) || self.local_occluded(&ray, sampler) {
+            return Rgb::ZERO;
+        }
+        value * light.radiance / (light.pdf + pdf)
+    }
+}
+
+fn purpose_of(stratum: usize) -> Purpose {
+    if stratum == 0 { Purpose::Environment } else { Purpose::Sun }
+}
+
+fn sample_clamped(
+    bsdf: &Bsdf,
+    wo: Vec3,
+    u: glam::Vec2,
+    choice: f32,
+) -> Option<super::bsdf::Scattered> {
+    bsdf.sample(wo, u.min(glam::Vec2::splat(1.0 - f32::EPSILON / 2.0)), choice)
+}
+
+/// One look from a local point, with what its draws share.
+struct Look<'w> {
+    world: &'w World<'w>,
+    surface: &'w Surface,
+    want: Want,
+    cones: &'w Cones,
+    /// L_without is known without any draw, and nothing local can be met.
+    exact: bool,
+    depth: u32,
+}
+
+impl Look<'_> {
+    /// Light of one stratum: what objects block of it, and what reaches the point without them.
+    fn toward_light(&self, stratum: usize, sampler: &Sampler, pair: &mut Pair) {
+        let world = self.world;
+        let u = sampler.pair(purpose_of(stratum));
+        let Some(light) = world.lights.sample(stratum, u) else { return };
+        let (value, bsdf_pdf) = self.surface.evaluate(light.direction);
+        if value == Rgb::ZERO || light.radiance == Rgb::ZERO {
+            return;
+        }
+        let ray = world.leave(self.surface.position, self.surface.geometric, light.direction);
+        let blocked = self.want.difference()
+            && self.cones.any_above()
+            && world.object_occluded(&ray, sampler);
+        if !blocked && self.exact {
+            return;
+        }
+        let hidden = !world.flat && world.local_occluded(&ray, sampler);
+        let mixture = self.mixture_pdf(bsdf_pdf, light.direction);
+        let arriving = value * light.radiance / (light.pdf + mixture);
+        if blocked && !hidden {
+            pair.delta -= arriving;
+        }
+        self.add_without(pair, arriving, hidden);
+    }
+
+    /// One draw from BSDF and cones: blocked light, what objects send, what local surfaces pass on.
+    fn along_mixture(&self, sampler: &Sampler, pair: &mut Pair) {
+        let (world, surface) = (self.world, self.surface);
+        let u = sampler.pair(Purpose::Direction).as_vec2();
+        let choice = sampler.one(Purpose::Choice);
+        let share = self.cones.share();
+        let (direction, value, mixture) = if choice < share {
+            let Some(direction) = self.cones.sample(u, choice) else { return };
+            let (value, bsdf_pdf) = surface.evaluate(direction);
+            (direction, value, self.mixture_pdf(bsdf_pdf, direction))
+        } else {
+            let choice = ((choice - share) / (1.0 - share)).clamp(0.0, 1.0 - f32::EPSILON / 2.0);
+            let drawn = sample_clamped(&surface.bsdf, surface.wo, u, choice);
+            let Some(drawn) = drawn else { return };
+            let direction = surface.to_world(drawn.direction);
+            if drawn.pdf.is_finite() {
+                let (value, bsdf_pdf) = surface.evaluate(direction);
+                (direction, value, self.mixture_pdf(bsdf_pdf, direction))
+            } else {
+                // A mirror direction: only the BSDF finds it.
+                (direction, drawn.weight / (1.0 - share), f32::INFINITY)
+            }
+        };
+        if value == Rgb::ZERO || mixture <= 0.0 {
+            return;
+        }
+        let by_mixture = if mixture.is_finite() { value / mixture } else { value };
+        let by_all = |light_pdf: f32| {
+            if mixture.is_finite() { value / (mixture + light_pdf) } else { value }
+        };
+
+        // Trace both worlds
+        let ray = world.leave(surface.position, surface.geometric, direction);
+        let local = if world.flat { None } else { world.closest_local(&ray, sampler) };
+        let object = if self.want.difference() {
+            let t_max = local.map_or(f32::INFINITY, |hit| hit.t + world.coincident);
+            world.closest_object(&Ray { t_max, ..ray }, sampler)
+        } else {
+            None
+        };
+        let next = sampler.descend(1);
+        let power = by_mixture.max_element();
+
+        // What the object sends, by roulette: it matters little where the direction matters little
+        if let Some(hit) = object {
+            let survival = if mixture.is_finite() { (4.0 * power).clamp(0.05, 1.0) } else { 1.0 };
+            if self.depth < MAX_DEPTH && next.one(Purpose::Roulette) < survival {
+                let sent = world.object_radiance(&ray, &hit, next.descend(3), self.depth + 1);
+                pair.delta += by_mixture * sent / survival;
+            }
+        }
+        // What is behind it, or there is no object
+        match local {
+            Some(hit) => {
+                let z = world.local_point(&ray, &hit);
+                let want = match (object.is_some(), self.want.without()) {
+                    (true, _) => Want::Without,
+                    (false, true) if self.want.difference() => Want::Both(None),
+                    (false, true) => Want::Without,
+                    (false, false) => Want::Difference,
+                };
+                let behind =
+                    world.local_radiance(&z, want, power, next.descend(4), self.depth + 1);
+                if object.is_some() {
+                    pair.delta -= by_mixture * behind.without;
+                } else {
+                    pair.delta += by_mixture * behind.delta;
+                }
+                if self.want.without() {
+                    pair.without += by_mixture * behind.without;
+                    if self.want.control().is_some() {
+                        let (l, pdf) = world.lights.evaluate(direction);
+                        pair.without -= by_all(pdf) * l;
+                    }
+                }
+            }
+            None if object.is_some() || !self.exact => {
+                let (l, pdf) = world.lights.evaluate(direction);
+                let arriving = by_all(pdf) * l;
+                if object.is_some() {
+                    pair.delta -= arriving;
+                }
+                self.add_without(pair, arriving, false);
+            }
+            None => {}
+        }
+    }
+
+    /// Adds light of the far field to L_without; with a control variate only what is missing of it.
+    fn add_without(&self, pair: &mut Pair, arriving: Rgb, hidden: bool) {
+        if !self.want.without() {
+            return;
+        }
+        match (self.want.control().is_some(), hidden) {
+            (true, true) => pair.without -= arriving,
+            (false, false) => pair.without += arriving,
+            _ => {}
+        }
+    }
+
+    fn mixture_pdf(&self, bsdf_pdf: f32, direction: Vec3) -> f32 {
+        (1.0 - self.cones.share()) * bsdf_pdf + self.cones.pdf(direction)
+    }
+}

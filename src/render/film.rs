@@ -1,0 +1,227 @@
+//! What a tile of pixels has gathered: means over replicates and how they scatter.
+//!
+//! A replicate is n = 2^k stratified samples with randomisation of its own; only the scatter of whole
+//! replicates says how wrong the mean is (the sample variance under Sobol numbers is too high by up to
+//! ×2, methods-render R7.3). The ratio ΔE/E₀ is a quotient of two means over the same samples: its
+//! first-order bias is taken off and its error propagated with their covariance.
+
+use glam::Vec3;
+
+use crate::conventions::{Rgb, luminance};
+
+/// One camera sample, or the mean of some.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Sample {
+    /// Share of object samples.
+    pub coverage: f32,
+    /// Radiance of object samples, premultiplied.
+    pub object: Rgb,
+    /// Share of samples on local surfaces, and of those whose albedo is solved from the plate.
+    pub local: f32,
+    pub plate: f32,
+    /// (with − without) and without on local surfaces, in units that cancel in their quotient.
+    pub delta: Rgb,
+    pub without: Rgb,
+    /// (with − without) of local surfaces that bring their own albedo or material, absolute.
+    pub own: Rgb,
+}
+
+impl std::ops::AddAssign for Sample {
+    fn add_assign(&mut self, s: Self) {
+        self.coverage += s.coverage;
+        self.object += s.object;
+        self.local += s.local;
+        self.plate += s.plate;
+        self.delta += s.delta;
+        self.without += s.without;
+        self.own += s.own;
+    }
+}
+
+impl std::ops::Mul<f32> for Sample {
+    type Output = Self;
+
+    fn mul(self, k: f32) -> Self {
+        Self {
+            coverage: self.coverage * k,
+            object: self.object * k,
+            local: self.local * k,
+            plate: self.plate * k,
+            delta: self.delta * k,
+            without: self.without * k,
+            own: self.own * k,
+        }
+    }
+}
+
+/// Sums over the replicates of one pixel.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Pixel {
+    sum: Sample,
+    /// Second moments of u = object + own, a = delta, b = without.
+    uu: Vec3,
+    aa: Vec3,
+    bb: Vec3,
+    ua: Vec3,
+    ub: Vec3,
+    ab: Vec3,
+}
+
+/// What a pixel has come to.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Estimate {
+    pub coverage: f32,
+    pub object: Rgb,
+    pub difference: Rgb,
+    pub ratio: Rgb,
+    /// Variance of `object + difference`.
+    pub variance: Rgb,
+}
+
+impl Pixel {
+    /// Adds the mean of one replicate.
+    pub fn add(&mut self, replicate: Sample) {
+        let (u, a, b) = (replicate.object + replicate.own, replicate.delta, replicate.without);
+        self.sum += replicate;
+        self.uu += u * u;
+        self.aa += a * a;
+        self.bb += b * b;
+        self.ua += u * a;
+        self.ub += u * b;
+        self.ab += a * b;
+    }
+
+    /// The estimate from `replicates` of them over a pixel whose plate value is `plate`.
+    ///
+    /// Where a channel has next to no light without objects (below `dark`), the quotient is
+    /// meaningless: the ratio is 0 there, and so is the difference of a surface known by it alone.
+    pub fn estimate(&self, replicates: u32, plate: Rgb, dark: f32) -> Estimate {
+        if replicates == 0 {
+            return Estimate::default();
+        }
+        let n = replicates as f32;
+        let mean = self.sum * (1.0 / n);
+        let lit = mean.without.cmpgt(Vec3::splat(dark));
+        let base = Vec3::select(lit, mean.without, Vec3::ONE);
+        let moment = |sum: Vec3, x: Vec3, y: Vec3| {
+            if replicates > 1 { (sum / n - x * y) * (n / (n - 1.0)) } else { Vec3::ZERO }
+        };
+        let u = mean.object + mean.own;
+        let (a, b) = (mean.delta, mean.without);
+        let var_b = moment(self.bb, b, b);
+        let cov_ab = moment(self.ab, a, b);
+        let quotient = a / base;
+        let unbiased = quotient - (quotient * var_b - cov_ab) / (base * base * n);
+        let ratio = Vec3::select(lit, unbiased * mean.local, Vec3::ZERO);
+        let of_plate = if mean.local > 0.0 { mean.plate / mean.local } else { 0.0 };
+        let difference = mean.own + plate * ratio * of_plate;
+
+        // Linearised: u + k (a − q b), k = what the plate makes of one unit of delta
+        let k = Vec3::select(lit, plate * (mean.local * of_plate) / base, Vec3::ZERO);
+        let q = quotient;
+        let variance = moment(self.uu, u, u)
+            + 2.0 * k * (moment(self.ua, u, a) - q * moment(self.ub, u, b))
+            + k * k * (moment(self.aa, a, a) - 2.0 * q * cov_ab + q * q * var_b);
+        Estimate {
+            coverage: mean.coverage,
+            object: mean.object,
+            difference,
+            ratio,
+            variance: (variance / n).max(Vec3::ZERO),
+        }
+    }
+
+    /// Mean light without objects, for the level below which it counts as darkness.
+    pub fn without(&self, replicates: u32) -> Rgb {
+        if replicates == 0 { Rgb::ZERO } else { self.sum.without / replicates as f32 }
+    }
+}
+
+/// Relative error measure of one pixel.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Noise {
+    /// Variance of the finished pixel relative to its brightness, squared.
+    pub relative_variance: f64,
+    /// How much the objects change the pixel, relative to its brightness.
+    pub change: f64,
+    pub coverage: f64,
+}
+
+impl Estimate {
+    /// Error and change relative to the brighter of plate and finished pixel, at least `floor`.
+    pub fn noise(&self, plate: Rgb, floor: f32) -> Noise {
+        let before = luminance(plate);
+        let after = luminance(self.object + plate * (1.0 - self.coverage) + self.difference);
+        let reference = f64::from(before.max(after).max(floor));
+        // Channels of one path are strongly correlated: their standard deviations add.
+        let sigma = f64::from(luminance(self.variance.map(f32::sqrt)));
+        Noise {
+            relative_variance: (sigma / reference).powi(2),
+            change: f64::from((after - before).abs()) / reference,
+            coverage: f64::from(self.coverage),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::render::sampler::{Numbers, Purpose, Sampler};
+
+    #[test]
+    fn nothing_gathered_is_nothing() {
+        assert_eq!(Pixel::default().estimate(0, Rgb::ONE, 1e-6), Estimate::default());
+        let mut pixel = Pixel::default();
+        for _ in 0..4 {
+            pixel.add(Sample { local: 1.0, plate: 1.0, without: Rgb::ONE, ..Sample::default() });
+        }
+        assert_eq!(pixel.estimate(4, Rgb::ONE, 1e-6), Estimate::default(), "bit-exact zero");
+    }
+
+    #[test]
+    fn darkness_gives_no_quotient() {
+        let mut pixel = Pixel::default();
+        pixel.add(Sample {
+            local: 1.0,
+            plate: 1.0,
+            delta: Rgb::ONE,
+            without: Rgb::new(0.0, 1.0, 1e-12),
+            ..Sample::default()
+        });
+        let e = pixel.estimate(1, Rgb::ONE, 1e-6);
+        assert_eq!(e.ratio, Rgb::new(0.0, 1.0, 0.0));
+        assert!(e.variance.is_finite());
+    }
+
+    #[test]
+    fn ratio_is_unbiased_and_its_error_is_known() {
+        // a and b correlated and noisy: without the correction the ratio of R = 4 means is biased.
+        let (runs, replicates) = (20_000, 4);
+        let (mut sum, mut squares, mut predicted) = (0.0, 0.0, 0.0);
+        for run in 0..runs {
+            let mut pixel = Pixel::default();
+            for r in 0..replicates {
+                let s = Sampler::new(7, (run as usize, 0), r, 0, Numbers::Independent);
+                let p = s.pair(Purpose::Pixel);
+                let b = 1.0 + 0.8 * (p.x as f32 - 0.5);
+                let a = -0.5 * b + 0.2 * (p.y as f32 - 0.5);
+                pixel.add(Sample {
+                    local: 1.0,
+                    plate: 1.0,
+                    delta: Rgb::splat(a),
+                    without: Rgb::splat(b + 0.4 * (p.y as f32 - 0.5)),
+                    ..Sample::default()
+                });
+            }
+            let e = pixel.estimate(replicates, Rgb::splat(2.0), 1e-6);
+            sum += f64::from(e.difference.x);
+            squares += f64::from(e.difference.x).powi(2);
+            predicted += f64::from(e.variance.x);
+        }
+        let n = f64::from(runs);
+        let (mean, variance) = (sum / n, squares / n - (sum / n).powi(2));
+        // True ratio −0.5; 4σ of the mean, and what is left of the bias is of second order.
+        assert!((mean + 1.0).abs() < 4.0 * (variance / n).sqrt() + 1e-3, "{mean}");
+        assert!((predicted / n / variance - 1.0).abs() < 0.1, "{} {variance}", predicted / n);
+    }
+}

@@ -1,0 +1,303 @@
+//! Everything a path meets: geometry of both worlds, lights, and the plate as seen from any point.
+//!
+//! Two structures, local and objects, so that one step along a ray answers for both worlds.
+//! Points are relative to the scene's origin; rays start off their surface by a fixed rule
+//! ([`World::leave`]) so that neither acne nor light leaks depend on the estimator.
+
+use glam::{DVec2, Vec2, Vec3, Vec4};
+
+use super::albedo::AlbedoMap;
+use super::sampler::{Purpose, Sampler};
+use super::skylight::Skylight;
+use super::surface::{LocalPoint, ObjectPoint, Surface};
+use crate::camera::Camera;
+use crate::conventions::Rgb;
+use crate::light::Lights;
+use crate::photo::Image;
+use crate::scene::{AlphaMode, LocalRole, Mesh, Scene};
+use crate::trace::{Accel, Hit, Ray};
+
+/// Objects that lie on a local surface within this share of their diameter win over it.
+const COINCIDENT: f32 = 1e-5;
+/// How many boxes bound the objects for cone sampling.
+const PARTS: usize = 8;
+
+/// A ball that holds a part of the objects.
+#[derive(Clone, Copy, Debug)]
+pub struct PartBall {
+    pub centre: Vec3,
+    pub radius: f32,
+}
+
+/// The scene of a job, ready for paths.
+pub struct World<'a> {
+    pub scene: &'a Scene,
+    pub lights: &'a Lights,
+    pub camera: &'a Camera,
+    pub plate: &'a Image<Rgb>,
+    pub local: Accel,
+    pub objects: Accel,
+    pub parts: Vec<PartBall>,
+    pub albedo: AlbedoMap,
+    pub skylight: Skylight,
+    /// Camera position relative to the scene's origin.
+    pub eye: Vec3,
+    /// True if the local meshes lie in one plane: no local surface sees another.
+    pub flat: bool,
+    /// True if no local mesh lets the camera see an object behind it.
+    all_hide: bool,
+    local_masks: bool,
+    object_masks: bool,
+    offset: f32,
+    /// How far behind a local surface an object still wins over it, metres.
+    pub coincident: f32,
+}
+
+/// What a ray meets in the two worlds.
+pub struct Step {
+    /// The first object, if it lies before everything local.
+    pub object: Option<Hit>,
+    /// The first local thing, whatever stands before it.
+    pub local: Option<Hit>,
+}
+
+impl<'a> World<'a> {
+    pub fn new(
+        scene: &'a Scene,
+        lights: &'a Lights,
+        camera: &'a Camera,
+        plate: &'a Image<Rgb>,
+    ) -> Self {
+        let local_meshes: Vec<&Mesh> = scene.local.iter().map(|l| &l.mesh).collect();
+        let object_meshes: Vec<&Mesh> = scene.objects.iter().collect();
+        let (local, objects) = (Accel::build(&local_meshes), Accel::build(&object_meshes));
+        let parts = objects
+            .parts(PARTS)
+            .iter()
+            .map(|b| PartBall { centre: b.centre(), radius: b.radius() * (1.0 + 1e-5) })
+            .collect();
+        let masked = |meshes: &[&Mesh]| {
+            meshes.iter().any(|m| scene.materials[m.material].alpha_mode != AlphaMode::Opaque)
+        };
+        let size = if objects.is_empty() { local.bounds() } else { objects.bounds() }.diameter();
+        Self {
+            flat: is_flat(&local_meshes),
+            all_hide: scene.local.iter().all(|l| l.role != LocalRole::Prop),
+            local_masks: masked(&local_meshes),
+            object_masks: masked(&object_meshes),
+            offset: 1e-6 * size,
+            coincident: COINCIDENT * size,
+            eye: (camera.pose.position() - scene.origin).as_vec3(),
+            albedo: AlbedoMap::unknown(scene),
+            skylight: Skylight::new(scene, lights),
+            scene,
+            lights,
+            camera,
+            plate,
+            local,
+            objects,
+            parts,
+        }
+    }
+
+    /// Traces a ray in both worlds at once.
+    pub fn step(&self, ray: &Ray, sampler: &Sampler) -> Step {
+        let local = self.closest_local(ray, sampler);
+        let t_max = local.map_or(ray.t_max, |hit| hit.t + self.coincident);
+        let object = self.closest_object(&Ray { t_max, ..*ray }, sampler);
+        Step { object, local }
+    }
+
+    /// As [`step`](Self::step) for a camera ray: props that are no holdouts do not hide objects.
+    pub fn camera_step(&self, ray: &Ray, sampler: &Sampler) -> Step {
+        let step = self.step(ray, sampler);
+        if step.object.is_some() || self.all_hide || self.objects.is_empty() {
+            return step;
+        }
+        let is_prop = |hit: &Hit| self.scene.local[hit.mesh as usize].role == LocalRole::Prop;
+        if !step.local.as_ref().is_some_and(is_prop) {
+            return step;
+        }
+        let hiding = self.local.closest_where(ray, |mesh, triangle, u, v| {
+            self.scene.local[mesh as usize].role != LocalRole::Prop
+                && self.is_there(&self.scene.local[mesh as usize].mesh, triangle, u, v, sampler)
+        });
+        let t_max = hiding.map_or(ray.t_max, |hit| hit.t + self.coincident);
+        Step { object: self.closest_object(&Ray { t_max, ..*ray }, sampler), ..step }
+    }
+
+    pub fn closest_local(&self, ray: &Ray, sampler: &Sampler) -> Option<Hit> {
+        if !self.local_masks {
+            return self.local.closest(ray);
+        }
+        self.local.closest_where(ray, |mesh, triangle, u, v| {
+            self.is_there(&self.scene.local[mesh as usize].mesh, triangle, u, v, sampler)
+        })
+    }
+
+    pub fn closest_object(&self, ray: &Ray, sampler: &Sampler) -> Option<Hit> {
+        if !self.object_masks {
+            return self.objects.closest(ray);
+        }
+        self.objects.closest_where(ray, |mesh, triangle, u, v| {
+            self.is_there(&self.scene.objects[mesh as usize], triangle, u, v, sampler)
+        })
+    }
+
+    pub fn local_occluded(&self, ray: &Ray, sampler: &Sampler) -> bool {
+        if !self.local_masks {
+            return self.local.occluded(ray);
+        }
+        self.local.occluded_where(ray, |mesh, triangle, u, v| {
+            self.is_there(&self.scene.local[mesh as usize].mesh, triangle, u, v, sampler)
+        })
+    }
+
+    pub fn object_occluded(&self, ray: &Ray, sampler: &Sampler) -> bool {
+        if !self.object_masks {
+            return self.objects.occluded(ray);
+        }
+        self.objects.occluded_where(ray, |mesh, triangle, u, v| {
+            self.is_there(&self.scene.objects[mesh as usize], triangle, u, v, sampler)
+        })
+    }
+
+    /// Whether a triangle is there at (u, v): alpha masks, and blended alpha by chance.
+    fn is_there(&self, mesh: &Mesh, triangle: u32, u: f32, v: f32, sampler: &Sampler) -> bool {
+        let material = &self.scene.materials[mesh.material];
+        if material.alpha_mode == AlphaMode::Opaque {
+            return true;
+        }
+        let corner = Corners::of(mesh, triangle, u, v);
+        let alpha = material.alpha(&self.scene.textures, corner.uvs(), corner.colour());
+        // The same triangle must answer the same on this ray: the number depends on both alone.
+        alpha > 0.0 && sampler.descend(triangle).one(Purpose::Alpha) < alpha
+    }
+
+    /// A ray from `position` along `direction`, off the surface whose geometric normal is `normal`.
+    ///
+    /// n · max(10⁻⁶ of the objects' diameter, 32 ulp of the coordinates), on the side it leaves to.
+    pub fn leave(&self, position: Vec3, normal: Vec3, direction: Vec3) -> Ray {
+        let offset = self.offset.max(32.0 * f32::EPSILON * position.abs().max_element());
+        let side = if normal.dot(direction) < 0.0 { -offset } else { offset };
+        Ray { origin: position + normal * side, direction, t_min: 0.0, t_max: f32::INFINITY }
+    }
+
+    pub fn object_point(&self, ray: &Ray, hit: &Hit) -> ObjectPoint {
+        let mesh = &self.scene.objects[hit.mesh as usize];
+        ObjectPoint::new(self.scene, mesh, ray, hit)
+    }
+
+    pub fn local_point(&self, ray: &Ray, hit: &Hit) -> LocalPoint {
+        LocalPoint::new(self.scene, ray, hit)
+    }
+
+    /// The plate pixel that shows `point`, if it lies in the frame and nothing local hides it.
+    pub fn pixel_of(&self, surface: &Surface, sampler: &Sampler) -> Option<Vec2> {
+        let to_eye = self.eye - surface.position;
+        // The side we see must be the side the camera sees.
+        if surface.geometric.dot(to_eye) <= 0.0 {
+            return None;
+        }
+        let world = self.scene.origin + surface.position.as_dvec3();
+        let pixel = self.camera.project_world(world)?;
+        let inside = pixel.cmpge(DVec2::splat(-0.5)).all()
+            && pixel.x <= self.plate.width() as f64 - 0.5
+            && pixel.y <= self.plate.height() as f64 - 0.5;
+        if !inside {
+            return None;
+        }
+        let distance = to_eye.length();
+        let mut ray = self.leave(surface.position, surface.geometric, to_eye / distance);
+        ray.t_max = distance * (1.0 - 1e-4);
+        (!self.local_occluded(&ray, sampler)).then_some(pixel.as_vec2())
+    }
+
+    /// The plate at a pixel position inside the frame, bilinear.
+    pub fn plate_at(&self, pixel: Vec2) -> Rgb {
+        let (w, h) = (self.plate.width(), self.plate.height());
+        let p = pixel.clamp(Vec2::ZERO, Vec2::new(w as f32 - 1.0, h as f32 - 1.0));
+        let (x, y) = (p.x as usize, p.y as usize);
+        let (x1, y1) = ((x + 1).min(w - 1), (y + 1).min(h - 1));
+        let (fx, fy) = (p.x - x as f32, p.y - y as f32);
+        let top = self.plate[(x, y)].lerp(self.plate[(x1, y)], fx);
+        let bottom = self.plate[(x, y1)].lerp(self.plate[(x1, y1)], fx);
+        top.lerp(bottom, fy)
+    }
+}
+
+/// Values of a mesh's vertices at a point of a triangle.
+pub struct Corners<'a> {
+    mesh: &'a Mesh,
+    corners: [usize; 3],
+    weights: Vec3,
+}
+
+impl<'a> Corners<'a> {
+    pub fn of(mesh: &'a Mesh, triangle: u32, u: f32, v: f32) -> Self {
+        let corners = mesh.triangles[triangle as usize].map(|i| i as usize);
+        Self { mesh, corners, weights: Vec3::new(1.0 - u - v, u, v) }
+    }
+
+    fn mix<T>(&self, values: &[T]) -> Option<T>
+    where
+        T: Copy + std::ops::Mul<f32, Output = T> + std::ops::Add<Output = T>,
+    {
+        if values.is_empty() {
+            return None;
+        }
+        let [a, b, c] = self.corners;
+        let w = self.weights;
+        Some(values[a] * w.x + values[b] * w.y + values[c] * w.z)
+    }
+
+    pub fn position(&self) -> Vec3 {
+        let [a, b, c] = self.corners.map(|i| self.mesh.positions[i]);
+        a + (b - a) * self.weights.y + (c - a) * self.weights.z
+    }
+
+    /// Unit normal of the triangle's plane, counter-clockwise side.
+    pub fn geometric_normal(&self) -> Vec3 {
+        let [a, b, c] = self.corners.map(|i| self.mesh.positions[i]);
+        let n = (b - a).cross(c - a);
+        // Tiny triangles: the squared length would underflow.
+        (n / n.abs().max_element().max(f32::MIN_POSITIVE)).normalize_or(Vec3::Y)
+    }
+
+    pub fn normal(&self) -> Option<Vec3> {
+        self.mix(&self.mesh.normals)?.try_normalize()
+    }
+
+    pub fn tangent(&self) -> Option<Vec4> {
+        self.mix(&self.mesh.tangents)
+    }
+
+    pub fn uvs(&self) -> [Vec2; 2] {
+        [
+            self.mix(&self.mesh.uvs).unwrap_or(Vec2::ZERO),
+            self.mix(&self.mesh.second_uvs).unwrap_or(Vec2::ZERO),
+        ]
+    }
+
+    pub fn colour(&self) -> Vec4 {
+        self.mix(&self.mesh.colours).unwrap_or(Vec4::ONE)
+    }
+}
+
+/// True if all triangles lie in one plane (to 1e-5 of their extent) and look the same way.
+fn is_flat(meshes: &[&Mesh]) -> bool {
+    let bounds = meshes.iter().fold(crate::scene::Bounds::EMPTY, |b, m| b.union(&m.bounds()));
+    let tolerance = 1e-5 * bounds.diameter();
+    let mut plane: Option<(Vec3, f32)> = None;
+    for mesh in meshes {
+        for triangle in 0..mesh.triangles.len() {
+            let [a, b, c] = mesh.corners(triangle);
+            let Some(n) = (b - a).cross(c - a).try_normalize() else { continue };
+            let (normal, height) = *plane.get_or_insert((n, n.dot(a)));
+            if [a, b, c].iter().any(|p| (normal.dot(*p) - height).abs() > tolerance) {
+                return false;
+            }
+        }
+    }
+    true
+}
