@@ -8,8 +8,6 @@
 
 use std::f64::consts::PI;
 
-
-
 use glam::{DMat3, DQuat, DVec2, DVec3, Mat3, Vec3, Vec4};
 use rayon::prelude::*;
 
@@ -165,7 +163,8 @@ impl Environment {
             }
             let ((s0, c0), (s1, c1)) = (edges[column], edges[column + 1]);
             // The chord's middle points at the texel's middle longitude, if the texel is narrow.
-            let toward = DVec3::new(0.5 * (s0 + s1) * middle.0, middle.1, 0.5 * (c0 + c1) * middle.0);
+            let toward =
+                DVec3::new(0.5 * (s0 + s1) * middle.0, middle.1, 0.5 * (c0 + c1) * middle.0);
             let elevation_sine = n.dot(toward);
             let narrow = self.width >= 64;
             sum += l * if narrow && elevation_sine > 1.1 * radius + 1e-3 {

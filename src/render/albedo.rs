@@ -180,7 +180,8 @@ fn node(
     seed: u64,
 ) -> Option<Node> {
     let ray = primary.ray(pixel.0, pixel.1, 0.5, 0.5)?;
-    let sampler = |index| Sampler::new(seed ^ 0xa1be_d0, pixel, u32::MAX, index, Numbers::SobolOwen);
+    let sampler =
+        |index| Sampler::new(seed ^ 0xa1be_d0, pixel, u32::MAX, index, Numbers::SobolOwen);
     let hit = world.closest_local(&ray, &sampler(0))?;
     let point = world.local_point(&ray, &hit);
     if point.colour == Colouring::Own {

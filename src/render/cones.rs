@@ -58,8 +58,7 @@ impl Cones {
             let weight = sin2 * (elevation + 0.5 * sin).max(0.05 * sin);
             let height = sin2 / (1.0 + (1.0 - sin2).sqrt());
             sum += weight;
-            cones.caps[cones.n] =
-                Cap { axis, height, density: weight / (TAU * height), end: sum };
+            cones.caps[cones.n] = Cap { axis, height, density: weight / (TAU * height), end: sum };
             cones.n += 1;
         }
         if sum > 0.0 {
@@ -133,7 +132,8 @@ mod tests {
             let z = 2.0 * u.y - 1.0;
             let r = (1.0 - z * z).sqrt();
             let d = Vec3::new(r * (TAU * u.x).cos(), r * (TAU * u.x).sin(), z);
-            by_count += f64::from(u8::from(cones.pdf(d) > 0.0)) / f64::from(n) * 4.0 * f64::from(PI);
+            by_count +=
+                f64::from(u8::from(cones.pdf(d) > 0.0)) / f64::from(n) * 4.0 * f64::from(PI);
         }
         assert!((by_draws / by_count - 1.0).abs() < 5e-3, "{by_draws} {by_count}");
     }

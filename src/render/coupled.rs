@@ -154,9 +154,7 @@ impl World<'_> {
         let albedo = |pixel: Option<glam::Vec2>| match (point.colour, pixel) {
             (Colouring::Own, _) => Rgb::ONE,
             (Colouring::Matt(albedo), _) => albedo,
-            (Colouring::Plate, Some(p)) => {
-                self.albedo.albedo(self.plate_at(p), p, point.mesh)
-            }
+            (Colouring::Plate, Some(p)) => self.albedo.albedo(self.plate_at(p), p, point.mesh),
             (Colouring::Plate, None) => self.albedo.mean(point.mesh),
         };
         // A mirror in the real scene looks different from here than from the camera.
@@ -211,7 +209,9 @@ impl World<'_> {
             // Sample the BSDF and go on
             let u = sampler.pair(Purpose::Direction).as_vec2();
             let choice = sampler.one(Purpose::Choice);
-            let Some(scattered) = sample_clamped(&surface.bsdf, surface.wo, u, choice) else { break };
+            let Some(scattered) = sample_clamped(&surface.bsdf, surface.wo, u, choice) else {
+                break;
+            };
             let direction = surface.to_world(scattered.direction);
             if (scattered.direction.z > 0.0) != (surface.geometric.dot(direction) > 0.0) {
                 break;
@@ -225,7 +225,7 @@ impl World<'_> {
                 throughput /= survival;
             }
             sampler = sampler.descend(1);
-            ray = self.leave(surface.position, surface.geometric, direction);
+            ray = surface.leave(direction);
             let step = self.step(&ray, &sampler);
             if let Some(next) = step.object {
                 hit = next;
@@ -234,13 +234,8 @@ impl World<'_> {
             if let Some(local) = step.local {
                 let z = self.local_point(&ray, &local);
                 let power = throughput.max_element();
-                let pair = self.local_radiance(
-                    &z,
-                    Want::Both(None),
-                    power,
-                    sampler.descend(2),
-                    depth + 1,
-                );
+                let pair =
+                    self.local_radiance(&z, Want::Both(None), power, sampler.descend(2), depth + 1);
                 radiance += throughput * (pair.without + pair.delta);
             } else {
                 let (l, pdf) = self.lights.evaluate(direction);
@@ -264,7 +259,7 @@ impl World<'_> {
         if value == Rgb::ZERO || light.radiance == Rgb::ZERO {
             return Rgb::ZERO;
         }
-        let ray = self.leave(surface.position, surface.geometric, light.direction);
+        let ray = surface.leave(light.direction);
         if self.object_occluded(&ray, sampler) || self.local_occluded(&ray, sampler) {
             return Rgb::ZERO;
         }
@@ -306,7 +301,7 @@ impl Look<'_> {
         if value == Rgb::ZERO || light.radiance == Rgb::ZERO {
             return;
         }
-        let ray = world.leave(self.surface.position, self.surface.geometric, light.direction);
+        let ray = self.surface.leave(light.direction);
         let blocked = self.want.difference()
             && self.cones.any_above()
             && world.object_occluded(&ray, sampler);
@@ -354,7 +349,7 @@ impl Look<'_> {
         };
 
         // Trace both worlds
-        let ray = world.leave(surface.position, surface.geometric, direction);
+        let ray = surface.leave(direction);
         let local = if world.flat { None } else { world.closest_local(&ray, sampler) };
         let object = if self.want.difference() {
             let t_max = local.map_or(f32::INFINITY, |hit| hit.t + world.coincident);
@@ -383,8 +378,7 @@ impl Look<'_> {
                     (false, true) => Want::Without,
                     (false, false) => Want::Difference,
                 };
-                let behind =
-                    world.local_radiance(&z, want, power, next.descend(4), self.depth + 1);
+                let behind = world.local_radiance(&z, want, power, next.descend(4), self.depth + 1);
                 if object.is_some() {
                     pair.delta -= by_mixture * behind.without;
                 } else {

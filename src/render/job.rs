@@ -121,9 +121,7 @@ pub fn integrator<'a>(
     let world = World::new(job.scene, job.lights, job.camera, job.plate);
     let primary = Primary::new(job.camera, world.eye);
     Ok(match method {
-        Method::Coupled => {
-            Box::new(Waves::new(Coupled { world, primary }, job.stop, job.numbers))
-        }
+        Method::Coupled => Box::new(Waves::new(Coupled { world, primary }, job.stop, job.numbers)),
         Method::TwoPass { same_numbers } => {
             let estimator = TwoPass { world, primary, same_numbers };
             Box::new(Waves::new(estimator, job.stop, job.numbers))

@@ -42,7 +42,12 @@ impl Primary {
             return None;
         }
         let direction = corners[0].lerp(corners[1], u).lerp(corners[2].lerp(corners[3], u), v);
-        Some(Ray { origin: self.eye, direction: direction.normalize(), t_min: 0.0, t_max: f32::INFINITY })
+        Some(Ray {
+            origin: self.eye,
+            direction: direction.normalize(),
+            t_min: 0.0,
+            t_max: f32::INFINITY,
+        })
     }
 
     /// A cone around all rays of a block of pixels: axis and half angle, radians. `None` where the
@@ -81,10 +86,8 @@ mod tests {
         for (x, y) in [(0, 0), (119, 79), (60, 40), (5, 70)] {
             for (u, v) in [(0.5, 0.5), (0.25, 0.9)] {
                 let ray = primary.ray(x, y, u, v).unwrap();
-                let pixel = DVec2::new(
-                    x as f64 - 0.5 + f64::from(u),
-                    y as f64 - 0.5 + f64::from(v),
-                );
+                let pixel =
+                    DVec2::new(x as f64 - 0.5 + f64::from(u), y as f64 - 0.5 + f64::from(v));
                 let (_, exact) = camera.ray(pixel).unwrap();
                 let off = ray.direction.as_dvec3().angle_between(exact) * 100.0;
                 // f32 directions of ±6e-8 at 100 px focal length; bilinear error is below that.

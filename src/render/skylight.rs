@@ -30,8 +30,8 @@ impl Skylight {
                 let [a, b, c] = local.mesh.corners(triangle);
                 let cross = (b - a).cross(c - a);
                 let Some(n) = cross.try_normalize() else { continue };
-                match faces.iter_mut().find(|(m, _)| (*m - n).length() < SAME) {
-                    Some(face) => face.1 += cross.length(),
+                match faces.iter().position(|(m, _)| (*m - n).length() < SAME) {
+                    Some(k) => faces[k].1 += cross.length(),
                     None if faces.len() < 8 * MOST => faces.push((n, cross.length())),
                     None => {}
                 }

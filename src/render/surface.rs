@@ -4,10 +4,8 @@ use glam::Vec3;
 
 use super::bsdf::Bsdf;
 use super::fresnel;
-use super::world::Corners;
 use crate::conventions::Rgb;
-use crate::scene::{AlbedoSource, Mesh, Scene};
-use crate::scene::material::SurfaceParameters;
+use crate::scene::{self, AlbedoSource, Place, Scene, SurfaceParameters};
 use crate::trace::{Hit, Ray};
 
 /// A point of a surface as seen by one ray.
@@ -24,6 +22,7 @@ pub struct Surface {
     /// Direction toward where the ray came from, in the shading frame.
     pub wo: Vec3,
     pub bsdf: Bsdf,
+    at: scene::Surface,
 }
 
 /// A point of an object.
@@ -39,7 +38,6 @@ pub struct LocalPoint {
     pub surface: Surface,
     /// Index into `Scene::local`.
     pub mesh: usize,
-    pub triangle: usize,
     pub colour: Colouring,
 }
 
@@ -55,33 +53,34 @@ pub enum Colouring {
 }
 
 impl Surface {
-    fn new(corners: &Corners, ray: &Ray, shading: Option<Vec3>, bsdf: Bsdf) -> Self {
+    fn new(at: scene::Surface, ray: &Ray, shading: Vec3, bsdf: Bsdf) -> Self {
         let toward = -ray.direction;
-        let mut geometric = corners.geometric_normal();
-        if geometric.dot(toward) < 0.0 {
-            geometric = -geometric;
-        }
-        let mut normal = shading.unwrap_or(geometric);
-        if normal.dot(geometric) < 0.0 {
-            normal = -normal;
-        }
+        let facing = |n: Vec3| if at.geometric_normal.dot(toward) < 0.0 { -n } else { n };
+        let geometric = facing(at.geometric_normal);
+        let mut normal = facing(shading);
         // An interpolated normal may turn away from a ray that the triangle faces.
         if normal.dot(toward) < 1e-4 {
             normal = geometric;
         }
         let (tangent, bitangent) = normal.any_orthonormal_pair();
         let mut surface = Self {
-            position: corners.position(),
+            position: at.position,
             geometric,
             tangent,
             bitangent,
             normal,
             wo: Vec3::Z,
             bsdf,
+            at,
         };
         let wo = surface.to_local(toward);
         surface.wo = Vec3::new(wo.x, wo.y, wo.z.max(1e-6)).normalize();
         surface
+    }
+
+    /// A ray that leaves along `direction` and does not meet this triangle again.
+    pub fn leave(&self, direction: Vec3) -> Ray {
+        Ray::new(self.at.origin_toward(direction), direction)
     }
 
     pub fn to_local(&self, d: Vec3) -> Vec3 {
@@ -108,61 +107,44 @@ impl Surface {
 }
 
 impl ObjectPoint {
-    pub fn new(scene: &Scene, mesh: &Mesh, ray: &Ray, hit: &Hit) -> Self {
-        let corners = Corners::of(mesh, hit.triangle, hit.u, hit.v);
-        let material = &scene.materials[mesh.material];
-        let at = material.evaluate(&scene.textures, corners.uvs(), corners.colour());
-        let from_behind = corners.geometric_normal().dot(ray.direction) > 0.0;
-        let glassy = at.transmission > 0.0 && at.solid;
-        let bsdf = bsdf_of(&at, from_behind && glassy);
-        let bump = material.tangent_normal(&scene.textures, corners.uvs());
-        let shading = shading_normal(&corners, bump);
-        let emitted = if from_behind && !at.double_sided { Rgb::ZERO } else { at.emissive };
+    pub fn new(scene: &Scene, ray: &Ray, hit: &Hit) -> Self {
+        let at = scene.surface(Place::Object, hit.mesh, hit.triangle, hit.u, hit.v);
+        let parameters = &at.parameters;
+        let from_behind = at.geometric_normal.dot(ray.direction) > 0.0;
+        let glassy = parameters.transmission > 0.0 && parameters.solid;
+        let bsdf = bsdf_of(parameters, from_behind && glassy);
+        let dark = from_behind && !parameters.double_sided;
         Self {
-            surface: Surface::new(&corners, ray, shading, bsdf),
-            emitted,
-            inside: (from_behind && glassy).then(|| attenuation_per_metre(&at)),
+            emitted: if dark { Rgb::ZERO } else { parameters.emissive },
+            inside: (from_behind && glassy).then(|| attenuation_per_metre(parameters)),
+            surface: Surface::new(at, ray, at.shading_normal, bsdf),
         }
     }
 }
 
 impl LocalPoint {
     pub fn new(scene: &Scene, ray: &Ray, hit: &Hit) -> Self {
-        let local = &scene.local[hit.mesh as usize];
-        let corners = Corners::of(&local.mesh, hit.triangle, hit.u, hit.v);
-        let (bsdf, colour) = match local.albedo {
-            AlbedoSource::Plate => (Bsdf::lambert(Rgb::ONE), Colouring::Plate),
-            AlbedoSource::Constant(albedo) => (Bsdf::lambert(Rgb::ONE), Colouring::Matt(albedo)),
+        let at = scene.surface(Place::Local, hit.mesh, hit.triangle, hit.u, hit.v);
+        let white = Bsdf::lambert(Rgb::ONE);
+        let (bsdf, colour) = match scene.local[hit.mesh as usize].albedo {
+            AlbedoSource::Plate => (white, Colouring::Plate),
+            AlbedoSource::Constant(albedo) => (white, Colouring::Matt(albedo)),
             AlbedoSource::Material => {
-                let material = &scene.materials[local.mesh.material];
-                let at = material.evaluate(&scene.textures, corners.uvs(), corners.colour());
-                let bsdf = bsdf_of(&at, false);
-                if bsdf.is_lambert() {
-                    (Bsdf::lambert(Rgb::ONE), Colouring::Matt(bsdf.base))
+                let own = bsdf_of(&at.parameters, false);
+                if own.is_lambert() {
+                    (white, Colouring::Matt(own.base))
                 } else {
-                    (bsdf, Colouring::Own)
+                    (own, Colouring::Own)
                 }
             }
         };
         // Real surfaces are lit by their geometry: a smooth normal over a coarse proxy would give
         // an irradiance that no triangle has.
-        let shading = if colour == Colouring::Own { corners.normal() } else { None };
-        Self {
-            surface: Surface::new(&corners, ray, shading, bsdf),
-            mesh: hit.mesh as usize,
-            triangle: hit.triangle as usize,
-            colour,
-        }
+        let shading =
+            if colour == Colouring::Own { at.shading_normal } else { at.geometric_normal };
+        let surface = Surface::new(at, ray, shading, bsdf);
+        Self { surface, mesh: hit.mesh as usize, colour }
     }
-}
-
-fn shading_normal(corners: &Corners, bump: Option<Vec3>) -> Option<Vec3> {
-    let Some(bump) = bump else { return corners.normal() };
-    let normal = corners.normal().unwrap_or_else(|| corners.geometric_normal());
-    let tangent = corners.tangent()?;
-    let t = tangent.truncate().reject_from_normalized(normal).try_normalize()?;
-    let b = normal.cross(t) * tangent.w.signum();
-    (t * bump.x + b * bump.y + normal * bump.z).try_normalize()
 }
 
 fn bsdf_of(at: &SurfaceParameters, leaving: bool) -> Bsdf {

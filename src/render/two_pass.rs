@@ -86,7 +86,7 @@ impl TwoPass<'_> {
                 throughput /= survival;
             }
             sampler = sampler.descend(1);
-            let ray = world.leave(surface.position, surface.geometric, direction);
+            let ray = surface.leave(direction);
             let (object, local) = self.first(&ray, with, &sampler);
             if let Some(hit) = object {
                 let point = world.object_point(&ray, &hit);
@@ -129,9 +129,9 @@ impl TwoPass<'_> {
         if value == Rgb::ZERO {
             return Rgb::ZERO;
         }
-        let ray = world.leave(surface.position, surface.geometric, light.direction);
-        let blocked = world.local_occluded(&ray, sampler)
-            || (with && world.object_occluded(&ray, sampler));
+        let ray = surface.leave(light.direction);
+        let blocked =
+            world.local_occluded(&ray, sampler) || (with && world.object_occluded(&ray, sampler));
         if blocked { Rgb::ZERO } else { value * light.radiance / (light.pdf + pdf) }
     }
 

@@ -12,13 +12,13 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use super::albedo::AlbedoMap;
+use super::coupled::Pair;
 pub use super::film::Sample;
 use super::film::{Estimate, Noise, Pixel};
 use super::primary::Primary;
 use super::sampler::{Numbers, Sampler};
 use super::surface::Colouring;
 use super::world::World;
-use super::coupled::Pair;
 use super::{Context, Difference, Integrator, Stop, Wave};
 use crate::conventions::{Rgb, luminance};
 use crate::photo::Image;
@@ -226,9 +226,7 @@ impl<E: Estimator> Waves<E> {
             Stop::TimeSeconds(_) if self.error.is_finite() => self.error * 0.65,
             Stop::TimeSeconds(_) => 0.03,
         };
-        let sigma = |t: &Tile| {
-            (t.noise.sample_variance / (t.width * t.height) as f64).sqrt()
-        };
+        let sigma = |t: &Tile| (t.noise.sample_variance / (t.width * t.height) as f64).sqrt();
         let influenced: f64 = self.tiles.iter().map(|t| t.noise.influenced).sum();
         let sum: f64 = self.tiles.iter().map(|t| t.noise.influenced * sigma(t)).sum();
         if influenced <= 0.0 {

@@ -1,10 +1,9 @@
 //! Everything a path meets: geometry of both worlds, lights, and the plate as seen from any point.
 //!
 //! Two structures, local and objects, so that one step along a ray answers for both worlds.
-//! Points are relative to the scene's origin; rays start off their surface by a fixed rule
-//! ([`World::leave`]) so that neither acne nor light leaks depend on the estimator.
+//! Points are relative to the scene's origin.
 
-use glam::{DVec2, Vec2, Vec3, Vec4};
+use glam::{DVec2, Vec2, Vec3};
 
 use super::albedo::AlbedoMap;
 use super::sampler::{Purpose, Sampler};
@@ -14,7 +13,7 @@ use crate::camera::Camera;
 use crate::conventions::Rgb;
 use crate::light::Lights;
 use crate::photo::Image;
-use crate::scene::{AlphaMode, LocalRole, Mesh, Scene};
+use crate::scene::{LocalRole, Mesh, Place, Scene};
 use crate::trace::{Accel, Hit, Ray};
 
 /// Objects that lie on a local surface within this share of their diameter win over it.
@@ -48,7 +47,6 @@ pub struct World<'a> {
     all_hide: bool,
     local_masks: bool,
     object_masks: bool,
-    offset: f32,
     /// How far behind a local surface an object still wins over it, metres.
     pub coincident: f32,
 }
@@ -76,16 +74,12 @@ impl<'a> World<'a> {
             .iter()
             .map(|b| PartBall { centre: b.centre(), radius: b.radius() * (1.0 + 1e-5) })
             .collect();
-        let masked = |meshes: &[&Mesh]| {
-            meshes.iter().any(|m| scene.materials[m.material].alpha_mode != AlphaMode::Opaque)
-        };
         let size = if objects.is_empty() { local.bounds() } else { objects.bounds() }.diameter();
         Self {
             flat: is_flat(&local_meshes),
             all_hide: scene.local.iter().all(|l| l.role != LocalRole::Prop),
-            local_masks: masked(&local_meshes),
-            object_masks: masked(&object_meshes),
-            offset: 1e-6 * size,
+            local_masks: scene.has_alpha(Place::Local),
+            object_masks: scene.has_alpha(Place::Object),
             coincident: COINCIDENT * size,
             eye: (camera.pose.position() - scene.origin).as_vec3(),
             albedo: AlbedoMap::unknown(scene),
@@ -120,7 +114,7 @@ impl<'a> World<'a> {
         }
         let hiding = self.local.closest_where(ray, |mesh, triangle, u, v| {
             self.scene.local[mesh as usize].role != LocalRole::Prop
-                && self.is_there(&self.scene.local[mesh as usize].mesh, triangle, u, v, sampler)
+                && self.is_there(Place::Local, [mesh, triangle], [u, v], sampler)
         });
         let t_max = hiding.map_or(ray.t_max, |hit| hit.t + self.coincident);
         Step { object: self.closest_object(&Ray { t_max, ..*ray }, sampler), ..step }
@@ -131,7 +125,7 @@ impl<'a> World<'a> {
             return self.local.closest(ray);
         }
         self.local.closest_where(ray, |mesh, triangle, u, v| {
-            self.is_there(&self.scene.local[mesh as usize].mesh, triangle, u, v, sampler)
+            self.is_there(Place::Local, [mesh, triangle], [u, v], sampler)
         })
     }
 
@@ -140,7 +134,7 @@ impl<'a> World<'a> {
             return self.objects.closest(ray);
         }
         self.objects.closest_where(ray, |mesh, triangle, u, v| {
-            self.is_there(&self.scene.objects[mesh as usize], triangle, u, v, sampler)
+            self.is_there(Place::Object, [mesh, triangle], [u, v], sampler)
         })
     }
 
@@ -149,7 +143,7 @@ impl<'a> World<'a> {
             return self.local.occluded(ray);
         }
         self.local.occluded_where(ray, |mesh, triangle, u, v| {
-            self.is_there(&self.scene.local[mesh as usize].mesh, triangle, u, v, sampler)
+            self.is_there(Place::Local, [mesh, triangle], [u, v], sampler)
         })
     }
 
@@ -158,34 +152,25 @@ impl<'a> World<'a> {
             return self.objects.occluded(ray);
         }
         self.objects.occluded_where(ray, |mesh, triangle, u, v| {
-            self.is_there(&self.scene.objects[mesh as usize], triangle, u, v, sampler)
+            self.is_there(Place::Object, [mesh, triangle], [u, v], sampler)
         })
     }
 
     /// Whether a triangle is there at (u, v): alpha masks, and blended alpha by chance.
-    fn is_there(&self, mesh: &Mesh, triangle: u32, u: f32, v: f32, sampler: &Sampler) -> bool {
-        let material = &self.scene.materials[mesh.material];
-        if material.alpha_mode == AlphaMode::Opaque {
-            return true;
-        }
-        let corner = Corners::of(mesh, triangle, u, v);
-        let alpha = material.alpha(&self.scene.textures, corner.uvs(), corner.colour());
+    fn is_there(
+        &self,
+        place: Place,
+        [mesh, triangle]: [u32; 2],
+        [u, v]: [f32; 2],
+        sampler: &Sampler,
+    ) -> bool {
+        let alpha = self.scene.alpha(place, mesh, triangle, u, v);
         // The same triangle must answer the same on this ray: the number depends on both alone.
-        alpha > 0.0 && sampler.descend(triangle).one(Purpose::Alpha) < alpha
-    }
-
-    /// A ray from `position` along `direction`, off the surface whose geometric normal is `normal`.
-    ///
-    /// n · max(10⁻⁶ of the objects' diameter, 32 ulp of the coordinates), on the side it leaves to.
-    pub fn leave(&self, position: Vec3, normal: Vec3, direction: Vec3) -> Ray {
-        let offset = self.offset.max(32.0 * f32::EPSILON * position.abs().max_element());
-        let side = if normal.dot(direction) < 0.0 { -offset } else { offset };
-        Ray { origin: position + normal * side, direction, t_min: 0.0, t_max: f32::INFINITY }
+        alpha >= 1.0 || alpha > 0.0 && sampler.descend(triangle).one(Purpose::Alpha) < alpha
     }
 
     pub fn object_point(&self, ray: &Ray, hit: &Hit) -> ObjectPoint {
-        let mesh = &self.scene.objects[hit.mesh as usize];
-        ObjectPoint::new(self.scene, mesh, ray, hit)
+        ObjectPoint::new(self.scene, ray, hit)
     }
 
     pub fn local_point(&self, ray: &Ray, hit: &Hit) -> LocalPoint {
@@ -208,7 +193,7 @@ impl<'a> World<'a> {
             return None;
         }
         let distance = to_eye.length();
-        let mut ray = self.leave(surface.position, surface.geometric, to_eye / distance);
+        let mut ray = surface.leave(to_eye / distance);
         ray.t_max = distance * (1.0 - 1e-4);
         (!self.local_occluded(&ray, sampler)).then_some(pixel.as_vec2())
     }
@@ -223,64 +208,6 @@ impl<'a> World<'a> {
         let top = self.plate[(x, y)].lerp(self.plate[(x1, y)], fx);
         let bottom = self.plate[(x, y1)].lerp(self.plate[(x1, y1)], fx);
         top.lerp(bottom, fy)
-    }
-}
-
-/// Values of a mesh's vertices at a point of a triangle.
-pub struct Corners<'a> {
-    mesh: &'a Mesh,
-    corners: [usize; 3],
-    weights: Vec3,
-}
-
-impl<'a> Corners<'a> {
-    pub fn of(mesh: &'a Mesh, triangle: u32, u: f32, v: f32) -> Self {
-        let corners = mesh.triangles[triangle as usize].map(|i| i as usize);
-        Self { mesh, corners, weights: Vec3::new(1.0 - u - v, u, v) }
-    }
-
-    fn mix<T>(&self, values: &[T]) -> Option<T>
-    where
-        T: Copy + std::ops::Mul<f32, Output = T> + std::ops::Add<Output = T>,
-    {
-        if values.is_empty() {
-            return None;
-        }
-        let [a, b, c] = self.corners;
-        let w = self.weights;
-        Some(values[a] * w.x + values[b] * w.y + values[c] * w.z)
-    }
-
-    pub fn position(&self) -> Vec3 {
-        let [a, b, c] = self.corners.map(|i| self.mesh.positions[i]);
-        a + (b - a) * self.weights.y + (c - a) * self.weights.z
-    }
-
-    /// Unit normal of the triangle's plane, counter-clockwise side.
-    pub fn geometric_normal(&self) -> Vec3 {
-        let [a, b, c] = self.corners.map(|i| self.mesh.positions[i]);
-        let n = (b - a).cross(c - a);
-        // Tiny triangles: the squared length would underflow.
-        (n / n.abs().max_element().max(f32::MIN_POSITIVE)).normalize_or(Vec3::Y)
-    }
-
-    pub fn normal(&self) -> Option<Vec3> {
-        self.mix(&self.mesh.normals)?.try_normalize()
-    }
-
-    pub fn tangent(&self) -> Option<Vec4> {
-        self.mix(&self.mesh.tangents)
-    }
-
-    pub fn uvs(&self) -> [Vec2; 2] {
-        [
-            self.mix(&self.mesh.uvs).unwrap_or(Vec2::ZERO),
-            self.mix(&self.mesh.second_uvs).unwrap_or(Vec2::ZERO),
-        ]
-    }
-
-    pub fn colour(&self) -> Vec4 {
-        self.mix(&self.mesh.colours).unwrap_or(Vec4::ONE)
     }
 }
 
