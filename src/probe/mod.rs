@@ -8,8 +8,11 @@
 //! merges a bracket, and never takes the direction to a ball from anything but its rim.
 
 pub mod ball;
+pub mod circles;
 pub mod clipped;
+pub mod edges;
 pub mod fill;
+pub mod find;
 pub mod mapping;
 pub mod panorama;
 pub mod resample;

@@ -1,0 +1,476 @@
+//! Finds a mirror ball in a photograph: no hint needed, a hint accepted.
+//!
+//! Edge points are taken at two reduced sizes and moved to the stereographic plane of the lens,
+//! where the rim of every ball is exactly a circle, also at the corner of a wide lens. Circles
+//! compete by their support ([`circles`]); the best few are looked at more closely, where of
+//! circles supported nearly alike the widest wins: a reflected horizon lies inside the rim, never
+//! outside. The rim itself is then fitted as a cone ([`rim::fit`]), at a size where the ball is at
+//! most [`FINE_RADIUS_PX`] in radius; finer than that, photographs hold blur and not rim.
+
+use glam::{DVec2, DVec3};
+
+use super::ProbeError;
+use super::circles::{self, Circle, Frame};
+use super::edges::{self, Edge};
+use super::rim::{self, Rim};
+use super::unwrap::pixel_angle;
+use crate::camera::Lens;
+use crate::conventions::Rgb;
+use crate::photo::Image;
+
+/// Longer side of the pictures in which large and small balls are looked for, px.
+const COARSE_SIDES_PX: [usize; 2] = [320, 960];
+/// Smallest ball looked for in them, px of radius.
+const LEAST_RADIUS_PX: f64 = 10.0;
+/// Radius at which the rim is fitted; larger balls are reduced to it.
+const FINE_RADIUS_PX: f64 = 450.0;
+/// Candidates looked at closely.
+const CANDIDATES: usize = 6;
+/// Support beyond chance below which nothing is called a ball. Balls in the photographs this was
+/// tried on reach 0.45 to 0.85, the best of other things 0.2 to 0.4.
+const LEAST_SCORE: f64 = 0.35;
+/// How far edge points may be off the rim, px of the fine picture.
+const TOLERANCE_PX: f64 = 1.5;
+/// Doubt of a hint whose rim could not be measured: share of its radius.
+const HINT_SIGMA: f64 = 0.01;
+
+/// What is known beforehand.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Hints<'a> {
+    /// The ball's centre u, v and radius r, px; within a tenth of the radius is enough.
+    pub circle_px: Option<[f64; 3]>,
+    /// The same view without the ball, same size.
+    pub clean_plate: Option<&'a Image<Rgb>>,
+}
+
+/// A ball found in a photograph.
+#[derive(Clone, Debug, PartialEq)]
+pub struct BallImage {
+    /// The rim, camera axes, with its covariance.
+    pub rim: Rim,
+    /// Pixel of the ball's centre direction (not quite the middle of its picture).
+    pub centre_px: DVec2,
+    /// Mean distance of the rim from the middle of its picture, px.
+    pub radius_px: f64,
+    /// Standard error of centre and radius, px.
+    pub sigma_px: f64,
+    /// Support beyond chance, 0…1; `None` if the hint was taken as it is.
+    pub score: Option<f64>,
+    /// Another place that looks nearly as much like a ball: centre and radius, px.
+    pub rival_px: Option<[f64; 3]>,
+}
+
+/// Finds the ball in scene-linear light.
+///
+/// `picture` is a photograph, or a merged bracket (best: nothing is clipped); `lens` is its lens.
+pub fn find(picture: &Image<Rgb>, lens: &Lens, hints: &Hints) -> Result<BallImage, ProbeError> {
+    check(picture, hints)?;
+    let plane = Plane { lens, width: picture.width(), height: picture.height() };
+    let starts = match hints.circle_px {
+        Some(hint) => vec![plane.circle(hint)?],
+        None => candidates(picture, &plane, hints)?,
+    };
+    let mut closer: Vec<(Circle, Vec<Edge>, f64)> =
+        starts.iter().filter_map(|start| look_closer(picture, &plane, hints, start)).collect();
+    closer.sort_by(|a, b| b.0.score().total_cmp(&a.0.score()));
+    let wanted = if hints.circle_px.is_some() { 0.0 } else { LEAST_SCORE };
+    let fitted =
+        choose(&closer).filter(|(c, ..)| c.score() > wanted).map(|(circle, edges, pixel)| {
+            let rival = closer.iter().map(|c| c.0).find(|c| {
+                (c.centre - circle.centre).length() > circle.radius
+                    && c.score() > 0.85 * circle.score()
+            });
+            (fit(&plane, circle, edges, *pixel), circle.score(), rival)
+        });
+    match (fitted, hints.circle_px) {
+        (Some((Ok(rim), score, rival)), _) => {
+            let mut ball = describe(&plane, rim, Some(score))?;
+            ball.rival_px = rival.and_then(|c| plane.to_picture(&c));
+            Ok(ball)
+        }
+        (_, Some(hint)) => describe(&plane, hinted(&plane, hint)?, None),
+        (Some((Err(e), ..)), None) => Err(e),
+        (None, None) => Err(ProbeError::NoBall {
+            reason: "no circle in the picture stands out from its texture".into(),
+        }),
+    }
+}
+
+fn check(picture: &Image<Rgb>, hints: &Hints) -> Result<(), ProbeError> {
+    let (w, h) = (picture.width(), picture.height());
+    if w.min(h) < 16 {
+        let reason = format!("the picture is only {w} × {h} px");
+        return Err(ProbeError::NoBall { reason });
+    }
+    if let Some(hint) = hints.circle_px
+        && !(hint.iter().all(|x| x.is_finite()) && hint[2] >= 5.0)
+    {
+        let found = format!("{hint:?}");
+        let expected = "u, v and r in pixels with a radius of 5 or more";
+        return Err(ProbeError::Value { what: "the ball's hint", found, expected });
+    }
+    if let Some(plate) = hints.clean_plate
+        && (plate.width(), plate.height()) != (w, h)
+    {
+        let found = format!("{} × {} px", plate.width(), plate.height());
+        let expected = "as large as the photograph of the ball";
+        return Err(ProbeError::Value { what: "the clean plate", found, expected });
+    }
+    Ok(())
+}
+
+/// Stereographic plane of a lens: `2 f tan(θ/2)`, px of the picture near the axis, y down.
+struct Plane<'a> {
+    lens: &'a Lens,
+    width: usize,
+    height: usize,
+}
+
+impl Plane<'_> {
+    fn focal(&self) -> f64 {
+        (self.lens.fx * self.lens.fy).sqrt()
+    }
+
+    fn from_ray(&self, d: DVec3) -> DVec2 {
+        DVec2::new(d.x, -d.y) * (2.0 * self.focal() / (1.0 - d.z))
+    }
+
+    fn ray(&self, p: DVec2) -> DVec3 {
+        let q = p / (2.0 * self.focal());
+        let s = q.length_squared();
+        DVec3::new(2.0 * q.x, -2.0 * q.y, s - 1.0) / (1.0 + s)
+    }
+
+    fn from_pixel(&self, pixel: DVec2) -> Option<DVec2> {
+        Some(self.from_ray(self.lens.unproject(pixel)?))
+    }
+
+    /// Whether the picture shows a point, two pixels of border left out.
+    fn shows(&self, p: DVec2, border: f64) -> bool {
+        self.lens.project(self.ray(p)).is_some_and(|q| {
+            q.x > border
+                && q.y > border
+                && q.x < self.width as f64 - 1.0 - border
+                && q.y < self.height as f64 - 1.0 - border
+        })
+    }
+
+    /// The circle of a hint in pixels.
+    fn circle(&self, [u, v, r]: [f64; 3]) -> Result<Circle, ProbeError> {
+        let at = |dx: f64, dy: f64| self.from_pixel(DVec2::new(u + dx, v + dy));
+        let rim = [at(r, 0.0), at(-r, 0.0), at(0.0, r), at(0.0, -r)];
+        let [Some(e), Some(w), Some(s), Some(n)] = rim else {
+            return Err(ProbeError::NoBall {
+                reason: "the hint lies outside the lens's field".into(),
+            });
+        };
+        let centre = (e + w + s + n) / 4.0;
+        let radius = [e, w, s, n].iter().map(|p| (*p - centre).length()).sum::<f64>() / 4.0;
+        Ok(Circle { centre, radius, support: 0.0, background: 0.0, visible: 1.0 })
+    }
+
+    /// Middle and mean radius of a circle's picture, px.
+    fn to_picture(&self, circle: &Circle) -> Option<[f64; 3]> {
+        let points: Vec<DVec2> = (0..72)
+            .filter_map(|k| {
+                let turn = f64::from(k) * 5f64.to_radians();
+                self.lens.project(self.ray(circle.centre + DVec2::from_angle(turn) * circle.radius))
+            })
+            .collect();
+        let n = points.len() as f64;
+        let centre = points.iter().sum::<DVec2>() / n;
+        let radius = points.iter().map(|p| (*p - centre).length()).sum::<f64>() / n;
+        (n > 0.0).then_some([centre.x, centre.y, radius])
+    }
+
+    /// Edge points of a reduced cut-out, in the plane and in its units divided by `factor`.
+    fn edges(&self, found: &[Edge], origin: DVec2, factor: f64) -> Vec<Edge> {
+        found
+            .iter()
+            .filter_map(|edge| {
+                let pixel = |p: DVec2| origin + (p + 0.5) * factor - 0.5;
+                let at = self.from_pixel(pixel(edge.at))?;
+                // Tangents map forward; the edge's side is kept by its sign.
+                let tangent = self.from_pixel(pixel(edge.at + edge.towards.perp()))? - at;
+                let towards = -tangent.try_normalize()?.perp();
+                Some(Edge { at: at / factor, towards, strength: edge.strength })
+            })
+            .collect()
+    }
+}
+
+/// What edges are taken from: log luminance, or how much it differs from the clean plate.
+fn guide(picture: &Image<Rgb>, plate: Option<&Image<Rgb>>, factor: usize) -> Image<f32> {
+    let log = edges::log_luminance(picture, factor);
+    let Some(plate) = plate else { return log };
+    let plate = edges::log_luminance(plate, factor);
+    let mut ratio: Vec<f32> = log.pixels().iter().zip(plate.pixels()).map(|(a, b)| a - b).collect();
+    if ratio.is_empty() {
+        return log;
+    }
+    let middle = ratio.len() / 2;
+    // Exposures may differ: most of the picture is without the ball.
+    let gain = *ratio.clone().select_nth_unstable_by(middle, f32::total_cmp).1;
+    ratio.iter_mut().for_each(|r| *r = (*r - gain).abs().min(2.0));
+    Image::from_pixels(log.width(), log.height(), ratio).unwrap_or(log)
+}
+
+/// Circles of the whole picture, the most ball-like first.
+fn candidates(
+    picture: &Image<Rgb>,
+    plane: &Plane,
+    hints: &Hints,
+) -> Result<Vec<Circle>, ProbeError> {
+    let side = picture.width().max(picture.height());
+    let mut all: Vec<Circle> = Vec::new();
+    for (level, wanted) in COARSE_SIDES_PX.into_iter().enumerate() {
+        let factor = ((side as f64 / wanted as f64).round() as usize).max(1);
+        let found = edges::edges(&guide(picture, hints.clean_plate, factor), 1.0);
+        let scale = factor as f64;
+        let moved = plane.edges(&found, DVec2::ZERO, scale);
+        if moved.is_empty() {
+            continue;
+        }
+        let least = moved.iter().map(|e| e.at).reduce(DVec2::min).unwrap_or_default();
+        let most = moved.iter().map(|e| e.at).reduce(DVec2::max).unwrap_or_default();
+        let shows = |p: DVec2| plane.shows(p * scale, 2.0 * scale);
+        let frame = Frame { least, most, shows: &shows };
+        let reach = (most - least).max_element();
+        // Each size of ball is looked for where it is 10 to some 100 px in radius.
+        let largest = if level == 0 { 0.75 * reach } else { 0.11 * reach };
+        for mut circle in circles::find(&moved, &frame, LEAST_RADIUS_PX, largest) {
+            circle.centre *= scale;
+            circle.radius *= scale;
+            all.push(circle);
+        }
+    }
+    all.sort_by(|a, b| b.score().total_cmp(&a.score()));
+    let mut distinct: Vec<Circle> = Vec::new();
+    for circle in all {
+        let same = |c: &Circle| {
+            (c.centre - circle.centre).length() < 0.05 * circle.radius
+                && (c.radius / circle.radius).ln().abs() < 0.05
+        };
+        if !distinct.iter().any(same) {
+            distinct.push(circle);
+        }
+        if distinct.len() == CANDIDATES {
+            break;
+        }
+    }
+    Ok(distinct)
+}
+
+/// The rim near `start` at fine size: circle (picture-sized units), its edges, pixels of the
+/// picture per fine pixel.
+fn look_closer(
+    picture: &Image<Rgb>,
+    plane: &Plane,
+    hints: &Hints,
+    start: &Circle,
+) -> Option<(Circle, Vec<Edge>, f64)> {
+    let [u, v, r] = plane.to_picture(start)?;
+    let factor = ((r / FINE_RADIUS_PX).round() as usize).max(1);
+    let origin = ((DVec2::new(u, v) - 1.45 * r).max(DVec2::ZERO)).as_usizevec2();
+    let end = (DVec2::new(u, v) + 1.45 * r).as_usizevec2() + 1;
+    let end = end.min(glam::USizeVec2::new(picture.width(), picture.height()));
+    if end.cmple(origin + 16).any() {
+        return None;
+    }
+    let cut = |picture: &Image<Rgb>| {
+        let size = end - origin;
+        Image::from_fn(size.x, size.y, |x, y| picture[(origin.x + x, origin.y + y)])
+    };
+    let plate = hints.clean_plate.map(cut);
+    let found = edges::edges(&guide(&cut(picture), plate.as_ref(), factor), 1.0);
+    let scale = factor as f64;
+    let edges = plane.edges(&found, origin.as_dvec2(), scale);
+    let shows = |p: DVec2| plane.shows(p * scale, 2.0 * scale);
+    let least = DVec2::ZERO;
+    let frame = Frame { least, most: least, shows: &shows };
+    let (centre, radius) = (start.centre / scale, start.radius / scale);
+    let near = circles::refine(&edges, &frame, centre, radius, &circles::NEAR)?;
+    let fine = circles::refine(&edges, &frame, near.centre, near.radius, &circles::FINE)?;
+    Some((fine, edges, scale)).map(|(mut circle, edges, scale)| {
+        circle.centre *= scale;
+        circle.radius *= scale;
+        (circle, edges, scale)
+    })
+}
+
+/// The best supported, or a wider one round it that is supported nearly as well.
+fn choose(closer: &[(Circle, Vec<Edge>, f64)]) -> Option<&(Circle, Vec<Edge>, f64)> {
+    let best = closer.first()?;
+    closer
+        .iter()
+        .filter(|(c, ..)| {
+            let inside = (c.centre - best.0.centre).length() + best.0.radius < 1.05 * c.radius;
+            inside && c.score() > 0.8 * best.0.score()
+        })
+        .max_by(|a, b| a.0.radius.total_cmp(&b.0.radius))
+        .or(Some(best))
+}
+
+/// The cone through the edge points along `circle`.
+fn fit(plane: &Plane, circle: &Circle, edges: &[Edge], scale: f64) -> Result<Rim, ProbeError> {
+    let small = Circle { centre: circle.centre / scale, radius: circle.radius / scale, ..*circle };
+    let reach = (0.02 * small.radius).max(4.0);
+    let rays: Vec<DVec3> = circles::nearest_in_sectors(edges, &small, reach)
+        .into_iter()
+        .map(|p| plane.ray(p * scale))
+        .collect();
+    let pixel = pixel_angle(plane.lens, plane.ray(circle.centre))
+        .ok_or_else(|| ProbeError::NoBall { reason: "it lies outside the lens's field".into() })?;
+    rim::fit(&rays, pixel * scale, TOLERANCE_PX)
+}
+
+/// The rim of a hint taken as it is.
+fn hinted(plane: &Plane, hint: [f64; 3]) -> Result<Rim, ProbeError> {
+    let circle = plane.circle(hint)?;
+    let rays: Vec<DVec3> = (0..72)
+        .map(|k| {
+            let turn = f64::from(k) * 5f64.to_radians();
+            plane.ray(circle.centre + DVec2::from_angle(turn) * circle.radius)
+        })
+        .collect();
+    let cone = rim::fit(&rays, circle.radius / plane.focal() * 1e-3, TOLERANCE_PX)?;
+    let sigma =
+        (HINT_SIGMA * cone.half_angle_rad).max(pixel_angle(plane.lens, cone.axis).unwrap_or(0.0));
+    Ok(Rim::known(cone.axis, cone.half_angle_rad, sigma))
+}
+
+fn describe(plane: &Plane, rim: Rim, score: Option<f64>) -> Result<BallImage, ProbeError> {
+    let outside = || ProbeError::NoBall { reason: "its centre is outside the lens's field".into() };
+    let centre_px = plane.lens.project(rim.axis).ok_or_else(outside)?;
+    let pixel = pixel_angle(plane.lens, rim.axis).ok_or_else(outside)?;
+    let points: Vec<DVec2> = (0..72)
+        .filter_map(|k| plane.lens.project(rim.ray(f64::from(k) * 5f64.to_radians())))
+        .collect();
+    let middle = points.iter().sum::<DVec2>() / points.len().max(1) as f64;
+    let radius_px =
+        points.iter().map(|p| (*p - middle).length()).sum::<f64>() / points.len().max(1) as f64;
+    let sigma_px = rim.sigma_axis_rad() / pixel;
+    Ok(BallImage { rim, centre_px, radius_px, sigma_px, score, rival_px: None })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::camera::Distortion;
+    use crate::probe::ball::Mirror;
+
+    /// A street: checkered ground, a bright sky with a darker band, walls on two sides.
+    fn world(d: DVec3) -> Rgb {
+        let turn = d.x.atan2(d.z);
+        let l = if d.y < -0.02 {
+            let (x, z) = (d.x / d.y, d.z / d.y);
+            if (x.floor() + z.floor()).rem_euclid(2.0) < 1.0 { 0.15 } else { 0.3 }
+        } else if d.y < 0.3 + 0.2 * (3.0 * turn).sin() {
+            0.08 + 0.1 * (7.0 * turn).sin().abs()
+        } else {
+            1.5 + 0.5 * d.y
+        };
+        Rgb::splat(l as f32)
+    }
+
+    /// The picture of a ball of D/ρ = 8 in direction `axis`, every pixel 3 × 3 times.
+    fn photograph(lens: &Lens, width: usize, height: usize, axis: DVec3) -> Image<Rgb> {
+        let mirror = Mirror::new(axis.normalize() * 8.0, 1.0).unwrap();
+        Image::from_fn(width, height, |x, y| {
+            let mut sum = Rgb::ZERO;
+            for k in 0..9 {
+                let offset = DVec2::new((k % 3) as f64 - 1.0, (k / 3) as f64 - 1.0) / 3.0;
+                let ray = lens.unproject(DVec2::new(x as f64, y as f64) + offset).unwrap();
+                sum += match mirror.reflect(ray) {
+                    Some(r) => 0.6 * world(r.direction),
+                    None => world(ray),
+                };
+            }
+            sum / 9.0
+        })
+    }
+
+    fn lens() -> Lens {
+        let distortion = Distortion::BrownConrady { k1: -0.1, k2: 0.03, p1: 0.0, p2: 0.0, k3: 0.0 };
+        Lens { distortion, ..Lens::pinhole(420.0, 480, 360) }
+    }
+
+    /// Distance of the found axis from the true one, and of the half-angles, px.
+    fn error_px(found: &BallImage, lens: &Lens, axis: DVec3) -> (f64, f64) {
+        let pixel = pixel_angle(lens, axis).unwrap();
+        let half_angle = f64::asin(1.0 / 8.0);
+        (
+            found.rim.axis.angle_between(axis.normalize()) / pixel,
+            (found.rim.half_angle_rad - half_angle) / pixel,
+        )
+    }
+
+    #[test]
+    fn a_ball_at_the_side_of_a_wide_lens_is_found_without_a_hint() {
+        let lens = lens();
+        for axis in [DVec3::new(0.36, -0.14, -1.0), DVec3::new(-0.05, 0.1, -1.0)] {
+            let picture = photograph(&lens, 480, 360, axis);
+            let found = find(&picture, &lens, &Hints::default()).unwrap();
+            let (centre, radius) = error_px(&found, &lens, axis);
+            assert!(centre < 1.3 && radius.abs() < 1.0, "{centre} px, {radius} px: {found:?}");
+            assert!(found.sigma_px >= 0.3 && found.sigma_px < 0.5);
+            assert!(found.rival_px.is_none());
+        }
+    }
+
+    #[test]
+    fn a_ball_cut_by_the_frame_is_found() {
+        let lens = lens();
+        // A third of the disc lies outside.
+        let axis = DVec3::new(0.53, 0.05, -1.0);
+        let picture = photograph(&lens, 480, 360, axis);
+        let found = find(&picture, &lens, &Hints::default()).unwrap();
+        let (centre, radius) = error_px(&found, &lens, axis);
+        assert!(centre < 1.6 && radius.abs() < 1.0, "{centre} px, {radius} px: {found:?}");
+        assert!(found.rim.arc_rad < 5.5);
+    }
+
+    #[test]
+    fn a_clean_plate_and_a_hint_find_the_same_ball() {
+        let lens = lens();
+        let axis = DVec3::new(-0.2, 0.1, -1.0);
+        let picture = photograph(&lens, 480, 360, axis);
+        let plate = photograph(&lens, 480, 360, DVec3::Z).map(|l| *l * 0.7);
+        let with_plate = Hints { clean_plate: Some(&plate), ..Hints::default() };
+        let hinted = Hints { circle_px: Some([157.0, 142.0, 54.0]), ..Hints::default() };
+        for hints in [with_plate, hinted] {
+            let found = find(&picture, &lens, &hints).unwrap();
+            let (centre, radius) = error_px(&found, &lens, axis);
+            assert!(centre < 1.3 && radius.abs() < 1.0, "{centre} px, {radius} px: {found:?}");
+        }
+    }
+
+    #[test]
+    fn a_picture_without_a_ball_says_so_but_a_hint_is_believed() {
+        let lens = lens();
+        let picture = photograph(&lens, 480, 360, DVec3::Z);
+        let error = find(&picture, &lens, &Hints::default()).unwrap_err();
+        assert!(matches!(error, ProbeError::NoBall { .. }), "{error}");
+        let flat = Image::filled(480, 360, Rgb::ONE);
+        let hints = Hints { circle_px: Some([200.0, 150.0, 40.0]), ..Hints::default() };
+        let found = find(&flat, &lens, &hints).unwrap();
+        assert!((found.radius_px - 40.0).abs() < 0.3 && found.score.is_none());
+        assert!(found.sigma_px >= 0.99, "{}", found.sigma_px);
+    }
+
+    #[test]
+    fn hostile_pictures_and_hints_are_refused() {
+        let lens = lens();
+        for (w, h) in [(0, 0), (1, 1), (15, 400)] {
+            assert!(find(&Image::filled(w, h, Rgb::ONE), &lens, &Hints::default()).is_err());
+        }
+        let flat = Image::filled(64, 64, Rgb::ONE);
+        for circle in [[f64::NAN, 1.0, 9.0], [10.0, 10.0, 0.0], [1e9, 1e9, 1e9]] {
+            let hints = Hints { circle_px: Some(circle), ..Hints::default() };
+            assert!(find(&flat, &lens, &hints).is_err(), "{circle:?}");
+        }
+        let plate = Image::filled(32, 64, Rgb::ONE);
+        let hints = Hints { clean_plate: Some(&plate), ..Hints::default() };
+        assert!(matches!(find(&flat, &lens, &hints), Err(ProbeError::Value { .. })));
+    }
+}
