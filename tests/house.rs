@@ -125,7 +125,8 @@ fn every_room_is_a_room_of_the_list() {
     let rooms = rooms();
     for entry in std::fs::read_dir(source_root()).expect("src is there") {
         let path = entry.expect("a readable folder").path();
-        let name = path.file_stem().and_then(|name| name.to_str()).expect("a plain name").to_owned();
+        let name =
+            path.file_stem().and_then(|name| name.to_str()).expect("a plain name").to_owned();
         let known = rooms.contains(&name) || name == "lib" || name == "main";
         assert!(known, "src/{name} is not in lib.rs");
     }

@@ -80,7 +80,7 @@ impl Global {
         }
     }
 
-    /// Says a warning on stderr, also when quiet was not asked for in so many words.
+    /// Says a warning on stderr, unless quiet.
     pub fn warn(&self, message: &str) {
         self.say(&format!("warning: {message}"));
     }

@@ -24,6 +24,9 @@ pub struct Report {
     /// The effective settings: the shot file with its defaults.
     pub shot: serde_json::Value,
     pub seed: u64,
+    /// Name, size and time of every file the shot was made from, and of every file made.
+    pub inputs: serde_json::Value,
+    pub outputs: serde_json::Value,
     pub camera: CameraReport,
     pub pose: PoseReport,
     pub probe: ProbeReport,

@@ -3,12 +3,17 @@
 //! folder → folder. Everything that can be wrong is found in the plan, before any work.
 
 pub mod camera_keys;
+pub mod existing;
+pub mod exposures;
 pub mod file;
 pub mod frames;
 pub mod keys;
 pub mod near_field;
 pub mod pictures;
+pub mod place;
+pub mod plan;
 pub mod probe_keys;
 pub mod watch;
+pub mod write;
 
 pub use file::{ShotFile, ShotFileError};

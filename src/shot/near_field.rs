@@ -43,8 +43,30 @@ pub fn warnings(
     found
 }
 
+/// The largest relative error of irradiance that the warnings tell of; `None` without any.
+pub fn largest_error(
+    surroundings: Option<&Surroundings>,
+    lamps: &[Lamp],
+    probe: DVec3,
+    reach: f64,
+) -> Option<f64> {
+    let walls = match surroundings {
+        Some(Surroundings::Box { min, max }) => {
+            Some(wall_distance(probe, (*min).into(), (*max).into()))
+        }
+        _ => None,
+    };
+    let lamps = lamps.iter().map(|lamp| probe.distance(lamp.at.into()) - lamp.radius);
+    let nearest = lamps.chain(walls).reduce(f64::min)?;
+    Some(error(nearest, reach))
+}
+
+fn error(distance: f64, reach: f64) -> f64 {
+    if distance > 0.0 { (SLOPE * reach / distance).min(1.0) } else { 1.0 }
+}
+
 fn warning(key: &str, what: &str, distance: f64, reach: f64) -> Warning {
-    let error = if distance > 0.0 { SLOPE * reach / distance } else { f64::INFINITY };
+    let error = error(distance, reach);
     let verdict = if error > THRESHOLD {
         "the light changes across the objects, but it is treated as infinitely far away"
     } else {

@@ -1,0 +1,307 @@
+//! Everything that can be found wrong with a shot by reading its files, found together.
+//!
+//! [`ShotFile`] → [`Plan`]: plate and probe photographs read, exposures known, meshes read. Nothing
+//! is computed from the pictures yet; that is [`prepare`](super::prepare).
+
+use std::path::{Path, PathBuf};
+
+use rayon::prelude::*;
+
+use super::camera_keys::{CameraKeys, CameraSource, PoseSource};
+use super::exposures::{self, Exposures, Scale};
+use super::file::{ShotFile, SupportShape};
+use super::pictures::{expand, readable};
+use super::probe_keys::{ProbeSource, Surroundings};
+use crate::photo::{self, NamedColour, Photo, ReadOptions};
+use crate::report::Warning;
+use crate::scene::{self, Model};
+
+/// A shot whose files are all there and readable.
+#[derive(Debug)]
+pub struct Plan {
+    pub shot: ShotFile,
+    pub plate: Photo,
+    /// What the probe's radiance is multiplied with to be in the plate's values.
+    pub scale: Scale,
+    /// Photographs of the ball or fisheye; the panorama itself.
+    pub probe_photos: Vec<Photo>,
+    pub exposures: Exposures,
+    pub support: Option<Model>,
+    pub local: Vec<Model>,
+    pub objects: Vec<Model>,
+    /// Every file the shot is made from.
+    pub inputs: Vec<PathBuf>,
+    pub warnings: Vec<Warning>,
+}
+
+/// Collects what is found.
+struct Finder {
+    problems: Vec<String>,
+    inputs: Vec<PathBuf>,
+    file: PathBuf,
+}
+
+impl Finder {
+    fn problem(&mut self, key: &str, path: &Path, cause: &str) {
+        let sentence = format!("{}: {key}: {}: {cause}", self.file.display(), path.display());
+        self.problems.push(sentence);
+    }
+
+    /// The readable files a name or pattern stands for; none after a problem.
+    fn files(&mut self, key: &str, pattern: &Path) -> Vec<PathBuf> {
+        match expand(pattern) {
+            Ok(files) => {
+                self.inputs.extend(files.iter().cloned());
+                files
+            }
+            Err(cause) => {
+                self.problem(key, pattern, &cause);
+                Vec::new()
+            }
+        }
+    }
+
+    fn file(&mut self, key: &str, path: &Path) -> Option<PathBuf> {
+        match readable(path) {
+            Ok(()) => {
+                self.inputs.push(path.to_owned());
+                Some(path.to_owned())
+            }
+            Err(cause) => {
+                self.problem(key, path, &cause);
+                None
+            }
+        }
+    }
+
+    fn photos(&mut self, key: &str, pattern: &Path, colour: Option<NamedColour>) -> Vec<Photo> {
+        let options = ReadOptions { colour, ..ReadOptions::default() };
+        let read: Vec<_> =
+            self.files(key, pattern).par_iter().map(|path| photo::read(path, &options)).collect();
+        read.into_iter().filter_map(|photo| self.keep(key, photo)).collect()
+    }
+
+    fn model(&mut self, key: &str, path: &Path) -> Option<Model> {
+        let path = self.file(key, path)?;
+        let model = scene::read(&path);
+        self.keep(key, model)
+    }
+
+    /// The value, or a problem. Room errors name their file.
+    fn keep<T>(&mut self, key: &str, result: Result<T, impl std::error::Error>) -> Option<T> {
+        match result {
+            Ok(value) => Some(value),
+            Err(error) => {
+                self.problems.push(format!("{}: {key}: {error}", self.file.display()));
+                None
+            }
+        }
+    }
+
+    fn camera(&mut self, key: &str, source: &CameraSource) {
+        match source {
+            CameraSource::Boards { photos, .. } => {
+                self.files(&format!("{key}.boards"), photos);
+            }
+            CameraSource::File(path) => {
+                self.file(&format!("{key}.file"), path);
+            }
+            CameraSource::Focal { .. } | CameraSource::Exif { .. } => {}
+        }
+    }
+
+    fn pose(&mut self, key: &str, source: &PoseSource, camera: &CameraKeys) {
+        match source {
+            PoseSource::Tags(tags) => {
+                for tag in tags {
+                    self.file(&format!("{key}.tag.photo"), &tag.photo);
+                }
+            }
+            PoseSource::Board(board) => {
+                self.file(&format!("{key}.board.photo"), &board.photo);
+                if board.board.is_none() && !matches!(camera.source, CameraSource::Boards { .. }) {
+                    self.problems.push(format!(
+                        "{}: {key}.board: the camera has no board of its own; describe this one \
+                         (corners, square_mm)",
+                        self.file.display()
+                    ));
+                }
+            }
+            PoseSource::File(path) => {
+                self.file(&format!("{key}.file"), path);
+            }
+            PoseSource::Rectangle(_) => {}
+        }
+    }
+}
+
+impl Plan {
+    /// Reads everything the shot names.
+    ///
+    /// # Errors
+    /// Every problem found, each with file, key and remedy.
+    pub fn make(shot: ShotFile) -> Result<Self, Vec<String>> {
+        let mut find = Finder { problems: Vec::new(), inputs: Vec::new(), file: shot.path.clone() };
+        find.inputs.push(shot.path.clone());
+
+        let colour = shot.plate.colour.as_ref().and_then(|name| name.parse().ok());
+        let plate = find.photos("plate.file", &shot.plate.file, colour).pop();
+        find.camera("camera", &shot.camera.source);
+        find.pose("pose", &shot.pose, &shot.camera);
+        let relative = shot.plate.relative_exposure;
+        let scale = plate.as_ref().map(|plate| {
+            exposures::plate_scale(plate, &shot.plate.exposure, relative)
+                .map_err(|cause| find.problems.push(format!("{}: {cause}", shot.path.display())))
+        });
+        if let Some(plate) = &plate {
+            check_exif_camera(&shot, plate, &mut find);
+        }
+        let (probe_photos, exposures) = read_probe(&shot, &mut find);
+        if let Some(Surroundings::Mesh(path)) = &shot.surroundings {
+            find.model("surroundings.mesh", path);
+        }
+
+        let support = match &shot.support.shape {
+            SupportShape::Mesh(path) => find.model("support.mesh", path),
+            SupportShape::Plane { .. } => None,
+        };
+        let local = shot.local.iter().enumerate();
+        let local: Vec<Model> = local
+            .filter_map(|(i, local)| find.model(&format!("local[{i}].file"), &local.file))
+            .collect();
+        let objects = shot.objects.iter().enumerate();
+        let objects: Vec<Model> = objects
+            .filter_map(|(i, object)| find.model(&format!("object[{i}].file"), &object.file))
+            .collect();
+
+        match (plate, scale, exposures) {
+            (Some(plate), Some(Ok(scale)), Some(exposures)) if find.problems.is_empty() => {
+                let inputs = find.inputs;
+                let mut plan = Self {
+                    plate,
+                    scale,
+                    probe_photos,
+                    exposures,
+                    support,
+                    local,
+                    objects,
+                    inputs,
+                    warnings: Vec::new(),
+                    shot,
+                };
+                plan.warnings = plan.find_warnings();
+                Ok(plan)
+            }
+            _ => Err(find.problems),
+        }
+    }
+
+    /// Bytes a run will need at its peak, roughly: what is kept for each pixel, texel and triangle.
+    pub fn predicted_bytes(&self) -> u64 {
+        /// Plate, its samples, the difference, its replicates and the encoded layers.
+        const PER_PIXEL: u64 = 700;
+        /// Photograph, mean, variance and validity of a bracket's pixel.
+        const PER_PROBE_PIXEL: u64 = 90;
+        /// Vertices, indices and both trees.
+        const PER_TRIANGLE: u64 = 250;
+        /// The program, its threads' stacks and a panorama of 2048 × 1024 texels with its tables.
+        const BASE: u64 = 300 << 20;
+        let pixels = |photo: &Photo| photo.linear.pixels().len() as u64;
+        let models = self.support.iter().chain(&self.local).chain(&self.objects);
+        let triangles: u64 = models.map(|model| model.n_triangles() as u64).sum();
+        PER_PIXEL * pixels(&self.plate)
+            + PER_PROBE_PIXEL * self.probe_photos.iter().map(pixels).sum::<u64>()
+            + PER_TRIANGLE * triangles
+            + BASE
+    }
+
+    fn find_warnings(&self) -> Vec<Warning> {
+        let mut warnings = Vec::new();
+        let pixels = self.plate.linear.pixels().len() as f64;
+        let clipped = self.plate.clipped.pixels().iter().filter(|&&c| c).count() as f64 / pixels;
+        if clipped > 0.01 {
+            warnings.push(Warning::new(
+                "plate",
+                "part of the plate is clipped; where objects change it, the result is a lower bound",
+                format!("{:.1} % of the pixels", 100.0 * clipped),
+            ));
+        }
+        if let Some(bad) = self.plate.nonfinite {
+            warnings.push(Warning::new(
+                "plate",
+                format!(
+                    "holds values that are no numbers, first at {:?}; they count as 0",
+                    bad.first
+                ),
+                format!("{} pixels", bad.pixels),
+            ));
+        }
+        let models = self.support.iter().chain(&self.local).chain(&self.objects);
+        for model in models {
+            let name = &model.name;
+            warnings.extend(model.warnings.iter().map(|sentence| {
+                Warning::new(name, sentence, "the parts named; the rest is as in the file")
+            }));
+        }
+        if self.shot.objects.is_empty() {
+            warnings.push(Warning::new(
+                "object",
+                "the shot has no [[object]]; the result is the plate itself",
+                "no change",
+            ));
+        }
+        if self.shot.composite.grain == super::file::Grain::Match {
+            warnings.push(Warning::new(
+                "composite.grain",
+                "\"match\" is read but has no effect yet: objects carry no grain",
+                "objects look smoother than the plate by its own noise",
+            ));
+        }
+        warnings
+    }
+}
+
+/// Reads the probe's pictures; exposures are `None` after a problem.
+fn read_probe(shot: &ShotFile, find: &mut Finder) -> (Vec<Photo>, Option<Exposures>) {
+    let (key, pattern, keys) = match &shot.probe.source {
+        ProbeSource::Ball(ball) => ("probe.ball", &ball.photos, &ball.exposures),
+        ProbeSource::Fisheye(fisheye) => ("probe.fisheye", &fisheye.photos, &fisheye.exposures),
+        ProbeSource::Panorama(panorama) => {
+            let photos = find.photos("probe.panorama.file", &panorama.file, None);
+            let source = "a panorama, taken as radiance";
+            return (photos, Some(Exposures { values: vec![1.0], source }));
+        }
+    };
+    if let ProbeSource::Ball(ball) = &shot.probe.source {
+        if let Some(camera) = &ball.camera {
+            find.camera("probe.ball.camera", camera);
+        }
+        if let Some(pose) = &ball.pose {
+            find.pose("probe.ball.pose", pose, &shot.camera);
+        }
+    }
+    let photos = find.photos(&format!("{key}.photos"), pattern, None);
+    if photos.is_empty() {
+        return (photos, None);
+    }
+    let tied = shot.plate.relative_exposure.is_none();
+    match exposures::of_bracket(&photos, keys, tied, key) {
+        Ok(exposures) => (photos, Some(exposures)),
+        Err(problems) => {
+            let file = find.file.display().to_string();
+            find.problems.extend(problems.into_iter().map(|p| format!("{file}: {p}")));
+            (photos, None)
+        }
+    }
+}
+
+/// A focal length from EXIF must be there.
+fn check_exif_camera(shot: &ShotFile, plate: &Photo, find: &mut Finder) {
+    if matches!(shot.camera.source, CameraSource::Exif { .. }) && plate.facts.focal_mm.is_none() {
+        find.problem(
+            "camera.exif_sensor_mm",
+            &plate.path,
+            "holds no focal length; give camera.focal_mm and sensor_mm instead",
+        );
+    }
+}
