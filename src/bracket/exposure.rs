@@ -137,6 +137,14 @@ const DARKEST_SHARED: f32 = 0.01;
 /// A ratio that varies by more than this over brightness is a tone curve, not an exposure.
 const CURVE_SPREAD: f64 = 0.10;
 
+/// Whether the ratio of neighbouring frames depends on brightness: the mark of a tone curve.
+pub(super) fn show_tone_curve(layers: &[Layer], order: &[usize]) -> bool {
+    order
+        .windows(2)
+        .filter_map(|pair| ratio(&layers[pair[0]], &layers[pair[1]]))
+        .any(|ratio| ratio.spread > CURVE_SPREAD)
+}
+
 /// What two frames say of the ratio of their exposures.
 struct Ratio {
     /// ln(longer/shorter).

@@ -26,6 +26,10 @@ pub enum Warning {
     LabelOff { short: PathBuf, long: PathBuf, label: f64, measured: f64 },
     #[error("{} and {}: their ratio varies by {:.0} % from dark to bright, so the camera's tone curve is not the assumed one; radiance is wrong by about as much", short.display(), long.display(), 100.0 * spread)]
     ToneCurve { short: PathBuf, long: PathBuf, spread: f64 },
+    #[error(
+        "the camera's tone curve is not sRGB (up to a factor {factor:.2}); it was recovered from the bracket, but a single photograph such as the plate is still read as sRGB"
+    )]
+    ResponseRecovered { factor: f64 },
     #[error("{}: was moved by ({:.2}, {:.2}) px to lie on the others", path.display(), shift.0, shift.1)]
     Moved { path: PathBuf, shift: (f64, f64) },
     #[error("{}: lies ({:.1}, {:.1}) px off the others, but moving it makes it fit no better; check for rotation or motion", path.display(), shift.0, shift.1)]

@@ -14,9 +14,10 @@ use super::align;
 use super::exposure;
 use super::lint::{self, Warning};
 use super::noise::{self, Noise, Pair, Quantisation};
+use super::response::{self, Response};
 use super::{BracketError, Radiance, Validity};
 use crate::conventions::{LUMINANCE_WEIGHTS, Rgb};
-use crate::photo::{Format, Image, Photo};
+use crate::photo::{Format, Image, Photo, Samples};
 
 /// A photograph of a bracket and how much light it gathered.
 #[derive(Clone, Copy, Debug)]
@@ -31,6 +32,9 @@ pub struct Frame<'a> {
 pub struct MergeOptions {
     /// Correct labelled exposures from the pixels; otherwise they are taken as true.
     pub refine_exposures: bool,
+    /// Recover the camera's tone curve where 8-bit files are not what their profile says; otherwise
+    /// that is only warned of.
+    pub recover_response: bool,
     /// Measure shifts between frames and undo those that help.
     pub align: bool,
     /// The camera's noise; `None` measures it in the bracket.
@@ -39,7 +43,7 @@ pub struct MergeOptions {
 
 impl Default for MergeOptions {
     fn default() -> Self {
-        Self { refine_exposures: true, align: true, noise: None }
+        Self { refine_exposures: true, recover_response: true, align: true, noise: None }
     }
 }
 
@@ -52,6 +56,8 @@ pub struct Merged {
     /// Shift that was undone for each frame, px.
     pub shifts: Vec<DVec2>,
     pub noise: Noise,
+    /// The camera's tone curve, where the pixels showed that it is not the files' stated one.
+    pub response: Option<Response>,
     pub warnings: Vec<Warning>,
     /// The frames' paths, in the order given.
     pub paths: Vec<PathBuf>,
@@ -104,8 +110,21 @@ pub fn merge(frames: &[Frame], options: &MergeOptions) -> Result<Merged, Bracket
             layers[k].settle(photos[k], found, &mut warnings);
         }
     }
+    let mut response = None;
+    if options.recover_response && exposure::show_tone_curve(&layers, &order) {
+        response = response::recover(&photos, &layers, &labels, &order);
+        if let Some(response) = &response {
+            layers
+                .iter_mut()
+                .zip(&photos)
+                .for_each(|(layer, photo)| layer.redecode(photo, response));
+            warnings.push(Warning::ResponseRecovered { factor: response.distance_from_srgb() });
+        }
+    }
     let exposures = if options.refine_exposures && order.len() > 1 {
-        exposure::refine(&layers, &photos, &labels, &order, &mut warnings)?
+        // A recovered curve was fitted to the labels: they can be checked, no longer corrected.
+        let checked = exposure::refine(&layers, &photos, &labels, &order, &mut warnings)?;
+        if response.is_some() { labels } else { checked }
     } else {
         labels
     };
@@ -121,6 +140,7 @@ pub fn merge(frames: &[Frame], options: &MergeOptions) -> Result<Merged, Bracket
         shifts: layers.iter().map(|l| l.shift).collect(),
         exposures,
         noise,
+        response,
         warnings,
         paths: frames.iter().map(|f| f.photo.path.clone()).collect(),
     })
@@ -131,6 +151,8 @@ pub(super) struct Layer {
     pub linear: Image<Rgb>,
     /// True where nothing is clipped, near a clipped pixel, or outside after a shift.
     pub usable: Image<bool>,
+    /// True where the pixel itself is clipped, as stored.
+    clipped: Image<bool>,
     quantisation: Quantisation,
     shift: DVec2,
 }
@@ -144,8 +166,41 @@ impl Layer {
         Self {
             linear: photo.linear.clone(),
             usable: clipped.map(|&c| !c),
+            clipped: photo.clipped.clone(),
             quantisation: Quantisation::new(&photo.samples, photo.encoding),
             shift: DVec2::ZERO,
+        }
+    }
+
+    /// Whether the pixel itself, not only a neighbour, is clipped (or outside the frame).
+    fn is_clipped(&self, x: usize, y: usize) -> bool {
+        let (dx, dy) = self.whole_shift();
+        let at = |v: usize, d: i64| usize::try_from(v as i64 + d).ok();
+        let pixel = at(x, dx).zip(at(y, dy)).and_then(|(x, y)| self.clipped.get(x, y));
+        pixel.copied().unwrap_or(true)
+    }
+
+    /// The shift that was undone, in whole pixels.
+    pub fn whole_shift(&self) -> (i64, i64) {
+        (self.shift.x.round() as i64, self.shift.y.round() as i64)
+    }
+
+    /// Reads the photograph's codes again through a recovered response.
+    fn redecode(&mut self, photo: &Photo, response: &Response) {
+        let Samples::U8 { channels, data } = &photo.samples else { return };
+        let rec709_from_file = photo.encoding.primaries.rec709_from_rgb().unwrap_or_default();
+        let mut codes = data.chunks_exact(*channels);
+        let decode = |_: &Rgb| {
+            let Some(&[r, g, b, ..]) = codes.next() else { return Rgb::ZERO };
+            let light = [r, g, b].map(|code| f64::from(response.linear(code)));
+            (rec709_from_file * DVec3::from(light)).as_vec3()
+        };
+        self.linear = photo.linear.map(decode);
+        self.quantisation = Quantisation::Response(Box::new(response.clone()));
+        if self.shift != DVec2::ZERO {
+            // The mask is shifted already, and shrinks no further.
+            let (linear, _) = align::undo(&self.linear, &self.usable, self.shift);
+            self.linear = linear;
         }
     }
 
@@ -269,17 +324,16 @@ impl Stack<'_> {
         Merge { mean: mean.as_vec3(), variance: variance.as_vec3(), validity }
     }
 
-    /// The radiance at which the shortest frame clips: no more is known, and no less.
+    /// The shortest frame alone: the radiance at which it clips, or a pixel beside a clipped one.
     fn clipped_everywhere(&self, x: usize, y: usize, noise: &Noise) -> Merge {
         let k = self.order[0];
         let t = self.exposures[k];
         let value = self.layers[k].linear[(x, y)].as_dvec3();
         let variance = value.to_array().map(|y| noise.variance(y) / (t * t));
-        Merge {
-            mean: (value / t).as_vec3(),
-            variance: DVec3::from(variance).as_vec3(),
-            validity: Validity::LowerBound,
-        }
+        let validity =
+            if self.layers[k].is_clipped(x, y) { Validity::LowerBound } else { Validity::Single };
+        let variance = DVec3::from(variance).as_vec3();
+        Merge { mean: (value / t).as_vec3(), variance, validity }
     }
 
     /// Pixels seen in two neighbouring frames, for the noise: a regular subset of at most ~200 000.

@@ -9,12 +9,14 @@ pub mod file;
 mod lint;
 mod merge;
 mod noise;
+mod response;
 #[cfg(test)]
 mod simulation;
 
 pub use self::lint::Warning;
 pub use self::merge::{Frame, MergeOptions, Merged, merge};
 pub use self::noise::Noise;
+pub use self::response::Response;
 
 use std::path::PathBuf;
 

@@ -5,6 +5,7 @@
 //! quantisation step at y. Two frames of one place differ by noise only, whatever the texture, so
 //! FW comes from the median squared difference in bright pixels and RN from that in dark ones.
 
+use super::response::Response;
 use crate::photo::{Encoding, Samples};
 
 /// Noise of a camera at one setting.
@@ -29,32 +30,36 @@ impl Noise {
 }
 
 /// Step between neighbouring codes of a file, as a function of linear value.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Quantisation {
-    encoding: Encoding,
-    /// Codes from black to white; 0 for floats, which have none.
-    codes: f64,
+#[derive(Clone, Debug)]
+pub(super) enum Quantisation {
+    /// Floats: no steps.
+    None,
+    /// A known curve with so many codes from black to white.
+    Curve { encoding: Encoding, codes: f64 },
+    /// The 256 codes of a recovered response.
+    Response(Box<Response>),
 }
 
 impl Quantisation {
     pub fn new(samples: &Samples, encoding: Encoding) -> Self {
-        let codes = match samples {
-            Samples::U8 { .. } => 255.0,
-            Samples::U16 { .. } => 65535.0,
-            Samples::F16 { .. } | Samples::F32 { .. } => 0.0,
-        };
-        Self { encoding, codes }
+        match samples {
+            Samples::U8 { .. } => Self::Curve { encoding, codes: 255.0 },
+            Samples::U16 { .. } => Self::Curve { encoding, codes: 65535.0 },
+            Samples::F16 { .. } | Samples::F32 { .. } => Self::None,
+        }
     }
 
     /// Variance of rounding at linear value `y`: step²/12.
     pub fn variance(&self, y: f64) -> f64 {
-        if self.codes == 0.0 {
-            return 0.0;
-        }
-        let code = f64::from(self.encoding.transfer.encode(y.clamp(0.0, 1.0) as f32)) * self.codes;
-        let decode =
-            |code: f64| f64::from(self.encoding.transfer.decode((code / self.codes) as f32));
-        let step = decode((code + 0.5).min(self.codes)) - decode((code - 0.5).max(0.0));
+        let step = match self {
+            Self::None => 0.0,
+            Self::Curve { encoding, codes } => {
+                let code = f64::from(encoding.transfer.encode(y.clamp(0.0, 1.0) as f32)) * codes;
+                let decode = |code: f64| f64::from(encoding.transfer.decode((code / codes) as f32));
+                decode((code + 0.5).min(*codes)) - decode((code - 0.5).max(0.0))
+            }
+            Self::Response(response) => response.step(y as f32).into(),
+        };
         step * step / 12.0
     }
 }

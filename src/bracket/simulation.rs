@@ -103,7 +103,12 @@ const EXACT: Noise = Noise { full_well_e: FULL_WELL, read_noise_e: READ_NOISE, m
 fn bias_and_scatter_in_each_decade_are_those_of_the_poisson_estimator() {
     let scene = wide_scene();
     let (photos, exposures) = bracket(&scene, 1);
-    let options = MergeOptions { refine_exposures: false, align: false, noise: Some(EXACT) };
+    let options = MergeOptions {
+        refine_exposures: false,
+        align: false,
+        noise: Some(EXACT),
+        ..MergeOptions::default()
+    };
     let merged = merge(&frames(&photos, &exposures), &options).unwrap();
     // Decade, most bias and most scatter allowed: the table of methods-capture C3 with a fifth of
     // room for scatter. About 23 000 samples a decade: the bias is known to 0.02 % or better, so a
@@ -134,7 +139,7 @@ fn bias_and_scatter_in_each_decade_are_those_of_the_poisson_estimator() {
 fn stated_sigma_covers_the_scatter_in_every_decade() {
     let scene = wide_scene();
     let (photos, exposures) = bracket(&scene, 2);
-    let options = MergeOptions { refine_exposures: false, align: false, noise: None };
+    let options = MergeOptions { refine_exposures: false, align: false, ..MergeOptions::default() };
     let merged = merge(&frames(&photos, &exposures), &options).unwrap();
     assert!(merged.noise.measured);
     let Radiance { mean, variance, validity } = &merged.radiance;
@@ -231,19 +236,64 @@ fn black_in_the_longest_is_an_upper_bound() {
     assert!(merged.warnings.iter().any(|w| matches!(w, Warning::BlackInLongest { .. })));
 }
 
+/// An S-curve as cameras apply: dark foot, brighter middle, shoulder (methods-capture F41).
+fn s_curve(y: f64) -> f64 {
+    let lifted = y * (1.6 - 0.6 * y);
+    lifted * lifted.powf(0.3) * 1.2 / (0.2 + lifted.powf(0.3))
+}
+
+/// Patches of 5 × 5 px, so that there are places flat enough to sample.
+fn patches(top: f64, decades: f64) -> Vec<f64> {
+    (0..WIDTH * HEIGHT)
+        .map(|i| radiance((i / WIDTH / 5) * (WIDTH / 5) + i % WIDTH / 5, top, decades))
+        .collect()
+}
+
+fn shot_through_a_curve(seed: u64) -> (Vec<f64>, Vec<Photo>, Vec<f64>) {
+    let scene = patches(30.0, 4.0);
+    let mut random = Random(seed);
+    let exposures: Vec<f64> = (0..5).map(|k| 4f64.powi(-k)).collect();
+    let photos = exposures.iter().map(|&t| shoot(&scene, t, &mut random, s_curve)).collect();
+    (scene, photos, exposures)
+}
+
 #[test]
-fn an_unknown_tone_curve_is_reported_and_does_not_change_exposures() {
-    // An S-curve as cameras apply: brighter middle, shoulder (methods-capture F41).
-    fn s_curve(y: f64) -> f64 {
-        (y * (1.6 - 0.6 * y)).powf(1.15)
-    }
-    let scene = wide_scene();
-    let mut random = Random(9);
-    let exposures = [1.0, 0.5, 0.25];
-    let photos: Vec<Photo> =
-        exposures.iter().map(|&t| shoot(&scene, t, &mut random, s_curve)).collect();
+fn a_tone_curve_is_recovered_to_two_percent() {
+    let (scene, photos, exposures) = shot_through_a_curve(9);
     let merged = merge(&frames(&photos, &exposures), &MergeOptions::default()).unwrap();
-    assert_eq!(merged.exposures, exposures);
+    assert_eq!(merged.exposures, exposures, "labels are what the curve is fitted to");
+    let response = merged.response.as_ref().unwrap();
+    // The recovered curve inverts the camera's, up to one factor.
+    let true_linear = |code: u8| {
+        let shown = f64::from(Transfer::Srgb.decode(f32::from(code) / 255.0));
+        let (mut low, mut high) = (0.0, 1.0);
+        for _ in 0..60 {
+            let middle = 0.5 * (low + high);
+            if s_curve(middle) < shown { low = middle } else { high = middle }
+        }
+        low
+    };
+    let factor = f64::from(response.linear(118)) / true_linear(118);
+    for code in 20..=245 {
+        let off = f64::from(response.linear(code)) / true_linear(code) / factor - 1.0;
+        assert!(off.abs() < 0.02, "code {code} is off by {off:+.4}");
+    }
+    // And the radiance is right over four decades, where sRGB would be up to twice off.
+    let mut worst: f64 = 0.0;
+    for (i, l) in scene.iter().enumerate().filter(|(_, l)| **l > 0.05) {
+        let x = f64::from(merged.radiance.mean.pixels()[i].y);
+        let sigma = f64::from(merged.radiance.variance.pixels()[i].y).sqrt();
+        worst = worst.max((x / factor - l).abs() / (6.0 * sigma / factor + 0.02 * l));
+    }
+    assert!(worst < 1.0, "radiance is off by {worst} of 2 % + 6 σ");
+}
+
+#[test]
+fn a_tone_curve_that_may_not_be_recovered_is_reported() {
+    let (_, photos, exposures) = shot_through_a_curve(13);
+    let options = MergeOptions { recover_response: false, ..MergeOptions::default() };
+    let merged = merge(&frames(&photos, &exposures), &options).unwrap();
+    assert!(merged.response.is_none());
     assert!(
         merged.warnings.iter().any(|w| matches!(w, Warning::ToneCurve { .. })),
         "{:?}",

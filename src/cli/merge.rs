@@ -35,6 +35,9 @@ pub struct Args {
     /// Take the stated exposures as true, whatever the pixels say
     #[arg(long)]
     trust_times: bool,
+    /// Read the photographs by their stated tone curve even where the pixels contradict it
+    #[arg(long)]
+    no_response: bool,
     /// Do not look for shifts between the photographs
     #[arg(long)]
     no_align: bool,
@@ -91,8 +94,12 @@ pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
     };
     let frames: Vec<Frame> =
         photos.iter().zip(&stated).map(|(photo, &exposure)| Frame { photo, exposure }).collect();
-    let merge_options =
-        MergeOptions { refine_exposures: !args.trust_times, align: !args.no_align, noise };
+    let merge_options = MergeOptions {
+        refine_exposures: !args.trust_times,
+        recover_response: !args.no_response,
+        align: !args.no_align,
+        noise,
+    };
     let merged = bracket::merge(&frames, &merge_options)?;
     for warning in &merged.warnings {
         global.warn(&warning.to_string());

@@ -252,6 +252,10 @@ pub fn read_bytes(path: &Path, bytes: &[u8], options: &ReadOptions) -> Result<Ph
         [0xff, 0xd8, ..] => (Format::Jpeg, raster::decode_jpeg(path, bytes, options)),
         _ => return Err(not_a_picture(path, bytes)),
     };
+    if let (Some(layer), true) = (&options.layer, format != Format::Exr) {
+        let cause = format!("has no layer {layer:?}; only EXR files have layers");
+        return Err(PhotoError::Picture { path: path.into(), cause });
+    }
     linear::photo(path, format, decoded?)
 }
 
