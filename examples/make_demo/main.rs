@@ -37,8 +37,8 @@ struct Args {
     /// Folder to write into.
     #[arg(long, default_value = "plates/demo")]
     out: PathBuf,
-    /// Paths in a pixel of the plate and the truth; a power of four is best.
-    #[arg(long, default_value_t = 64)]
+    /// Paths in a pixel of the plate and the truth.
+    #[arg(long, default_value_t = 128)]
     samples: u32,
     /// Pixels this many times as large: a look at the place in seconds, not fit for the pipeline.
     #[arg(long, default_value_t = 1)]

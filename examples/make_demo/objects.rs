@@ -53,7 +53,7 @@ pub fn objects() -> [Object; 3] {
         Object {
             name: "bowl",
             triangles: bowl().rounded(),
-            finish: finish(cobalt, Gloss::Dielectric { roughness: 0.22 }),
+            finish: finish(cobalt, Gloss::Dielectric { roughness: 0.28 }),
             at: DVec3::new(0.15, 0.0, 0.11),
             rotate_y_deg: 0.0,
             scale: 1.0,

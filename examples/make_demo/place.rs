@@ -266,7 +266,7 @@ pub fn props() -> Vec<Prop> {
         albedo: albedo.into(),
     };
     let turn = -0.35;
-    let board_at = DVec3::new(0.47, 0.0, -0.20);
+    let board_at = DVec3::new(0.42, 0.0, -0.21);
     let board = Triangles::cuboid(DVec3::new(-0.15, 0.0, -0.10), DVec3::new(0.15, 0.018, 0.10));
     let lemon = |x: f64, z: f64, roll: f64| {
         let body = lemon().placed(1.0, roll, DVec3::ZERO);

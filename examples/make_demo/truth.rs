@@ -13,7 +13,7 @@ use crate::shoot::{ball_corner, ball_view, lens, plate_view, tag_corners};
 use crate::sky;
 use crate::tracer::Rendered;
 
-/// Smallest relative change of luminance that counts as influence, after a 5 × 5 mean.
+/// Smallest relative change of luminance that counts as influence, after a 9 × 9 mean.
 const INFLUENCE: f64 = 0.01;
 
 /// Writes `truth.exr`: truth (R, G, B), plate without noise, coverage and influence, where it matters.
@@ -72,11 +72,11 @@ fn influence(plate: &Rendered, truth: &Rendered) -> Vec<bool> {
     let mean = |at: i64, value: &dyn Fn(usize) -> f64| {
         let (x, y) = (at % width, at / width);
         let mut sum = 0.0;
-        for (dx, dy) in (-2..=2).flat_map(|dy| (-2..=2).map(move |dx| (dx, dy))) {
+        for (dx, dy) in (-4..=4).flat_map(|dy| (-4..=4).map(move |dx| (dx, dy))) {
             let (u, v) = ((x + dx).clamp(0, width - 1), (y + dy).clamp(0, height - 1));
             sum += value((v * width + u) as usize);
         }
-        sum / 25.0
+        sum / 81.0
     };
     (0..width * height)
         .map(|at| {
