@@ -137,3 +137,82 @@ fn truth_objects_load_with_their_triangles_and_without_a_warning() {
         }
     }
 }
+
+#[test]
+fn obj_files_load_with_their_triangles() {
+    let Some(shared) = shared() else { return };
+    // Suzanne: 32 triangles and 468 quads.
+    for (name, n_triangles, width) in [
+        ("stanford-bunny.obj", 69_451, 0.156),
+        ("teapot.obj", 6_320, 6.4),
+        ("suzanne.obj", 32 + 2 * 468, 2.7),
+        ("spot.obj", 5_856, 0.9),
+    ] {
+        let model = read(&shared.join("data/mesh-obj").join(name)).unwrap();
+        assert_kept_promises(&model);
+        assert_eq!(model.n_triangles(), n_triangles, "{name}");
+        let [min, max] = model.bounds(&glam::DAffine3::IDENTITY).unwrap();
+        assert!(((max - min).x / width - 1.0).abs() < 0.05, "{name}: {} m wide", (max - min).x);
+    }
+}
+
+/// A small generator, so that the mutations never change.
+fn random(state: &mut u64, below: usize) -> usize {
+    *state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+    (*state >> 33) as usize % below.max(1)
+}
+
+/// Reads cut and mutated copies of a file's bytes: none may panic, hang or break a promise.
+fn assert_survives(file: &Path, n_mutations: usize) {
+    let extension = file.extension().unwrap().to_str().unwrap();
+    let original = std::fs::read(file).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    // What a .gltf names stands beside it
+    for entry in std::fs::read_dir(file.parent().unwrap()).unwrap() {
+        let beside = entry.unwrap().path();
+        if extension == "gltf" && beside.is_file() {
+            std::fs::copy(&beside, folder.path().join(beside.file_name().unwrap())).unwrap();
+        }
+    }
+    let path = folder.path().join("mutant").with_extension(extension);
+    let mut state = 0x5eed;
+    let mut n_read = 0;
+    // More, for an hour of trying: PLATELIGHT_MUTATIONS=100.
+    let more = std::env::var("PLATELIGHT_MUTATIONS").ok().and_then(|n| n.parse().ok());
+    for round in 0..n_mutations * more.unwrap_or(1) {
+        let mut bytes = original.clone();
+        if round % 4 == 0 {
+            bytes.truncate(random(&mut state, bytes.len()));
+        }
+        for _ in 0..1 + random(&mut state, 4) {
+            // Half of the changes hit the first kilobyte: headers, counts and JSON.
+            let reach = if round % 2 == 0 { bytes.len().min(1024) } else { bytes.len() };
+            let at = random(&mut state, reach);
+            let value = [0, 255, b'-', b'9', random(&mut state, 256) as u8];
+            if let Some(byte) = bytes.get_mut(at) {
+                *byte = value[random(&mut state, value.len())];
+            }
+        }
+        std::fs::write(&path, &bytes).unwrap();
+        if let Ok(model) = read_watched(&path) {
+            assert_kept_promises(&model);
+            n_read += 1;
+        }
+    }
+    assert!(n_read > 0, "no mutant of the {extension} file was read: nothing was tested");
+}
+
+#[test]
+fn mutated_files_never_panic_hang_or_break_a_promise() {
+    let Some(shared) = shared() else { return };
+    let data = shared.join("data");
+    for (name, n_mutations) in [
+        ("gltf-good/BoxTextured.glb", 600),
+        ("gltf-good/nested.glb", 600),
+        ("gltf-good/quad_skin.glb", 300),
+        ("gltf-good/TextureTransformTest/TextureTransformTest.gltf", 300),
+        ("mesh-obj/suzanne.obj", 300),
+    ] {
+        assert_survives(&data.join(name), n_mutations);
+    }
+}

@@ -41,7 +41,7 @@ pub fn read(path: &Path) -> Result<Model, SceneError> {
     let name = path.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();
     let mut reader = Reader {
         path,
-        materials: MaterialReader::new(path, &buffers),
+        materials: MaterialReader::new(path, &document, &buffers),
         buffers: &buffers,
         material_numbers: Vec::new(),
         model: Model { name, warnings, ..Model::default() },
@@ -84,6 +84,14 @@ fn parse(path: &Path, json: &[u8]) -> Result<(gltf::Document, Vec<String>), Scen
     }
     let root: gltf::json::Root =
         gltf::json::deserialize::from_value(value).map_err(|e| broken("JSON", e.to_string()))?;
+    // The crate's validation looks the positions up before it has judged their number.
+    for (i, mesh) in root.meshes.iter().enumerate() {
+        let accessors = mesh.primitives.iter().flat_map(|primitive| primitive.attributes.values());
+        if let Some(bad) = accessors.map(|a| a.value()).find(|&a| a >= root.accessors.len()) {
+            let problem = format!("accessor {bad} of {}", root.accessors.len());
+            return Err(broken(&format!("meshes[{i}]"), problem));
+        }
+    }
     let document = gltf::Document::from_json(root).map_err(|error| match error {
         gltf::Error::Validation(problems) => {
             let first = problems.first();

@@ -4,7 +4,6 @@ use std::collections::HashMap;
 use std::path::Path;
 
 use glam::{Affine2, Mat2, Vec2, Vec3, Vec4};
-use gltf::image::Source;
 use gltf::json::Value;
 use gltf::material::AlphaMode as GltfAlphaMode;
 use gltf::texture::WrappingMode;
@@ -16,6 +15,7 @@ use super::{AlphaMode, Material, SceneError, Texture, TextureRef};
 /// Reads materials and, once each, the textures they use.
 pub(super) struct MaterialReader<'a> {
     path: &'a Path,
+    document: &'a gltf::Document,
     buffers: &'a Buffers<'a>,
     /// By glTF texture and meaning: the same picture may be colour here and numbers there.
     read: HashMap<(usize, TexelMeaning), usize>,
@@ -24,9 +24,9 @@ pub(super) struct MaterialReader<'a> {
 }
 
 impl<'a> MaterialReader<'a> {
-    pub fn new(path: &'a Path, buffers: &'a Buffers<'a>) -> Self {
+    pub fn new(path: &'a Path, document: &'a gltf::Document, buffers: &'a Buffers<'a>) -> Self {
         let (read, textures, warnings) = (HashMap::new(), Vec::new(), Vec::new());
-        Self { path, buffers, read, textures, warnings }
+        Self { path, document, buffers, read, textures, warnings }
     }
 
     pub fn material(&mut self, material: &gltf::Material) -> Result<Material, SceneError> {
@@ -218,12 +218,22 @@ impl<'a> MaterialReader<'a> {
             return Ok(None);
         };
         let image_place = format!("images[{}]", image.index());
+        // From the JSON: the crate's own answer panics on a picture that names no place or type.
+        let json = &self.document.as_json().images[image.index()];
+        let view = json.buffer_view.map(|view| view.value());
         let owned;
-        let bytes = match image.source() {
-            Source::View { view, .. } => self.buffers.view(&view)?,
-            Source::Uri { uri, .. } => {
+        let bytes = match (&json.uri, view.and_then(|view| self.document.views().nth(view))) {
+            (_, Some(view)) => self.buffers.view(&view)?,
+            (Some(uri), None) => {
                 owned = resolve(self.path, &image_place, uri)?;
                 &owned
+            }
+            (None, None) => {
+                return Err(SceneError::Picture {
+                    path: self.path.into(),
+                    place: image_place,
+                    problem: "it names neither a file nor a buffer view".into(),
+                });
             }
         };
         let sampler = texture.sampler();

@@ -15,6 +15,9 @@ mod gltf_material;
 pub mod material;
 pub mod mesh;
 pub mod model;
+mod mtl;
+pub mod obj;
+mod polygon;
 pub mod surface;
 pub mod texture;
 
@@ -78,11 +81,12 @@ pub enum AlbedoSource {
     Material,
 }
 
-/// Reads a mesh file by its extension: `.glb`, `.gltf`.
+/// Reads a mesh file by its extension: `.glb`, `.gltf` or `.obj`.
 pub fn read(path: &Path) -> Result<Model, SceneError> {
     let extension = path.extension().and_then(|e| e.to_str()).unwrap_or("").to_ascii_lowercase();
     match extension.as_str() {
         "glb" | "gltf" => gltf::read(path),
+        "obj" => obj::read(path),
         _ => Err(SceneError::UnknownFormat { path: path.into() }),
     }
 }

@@ -1,4 +1,7 @@
 //! [`Texture`]: pictures on surfaces; decoding with limits, bilinear look-up.
+//!
+//! Not through [`photo::read`](crate::photo::read): glTF forbids colour profiles and orientation
+//! tags to act on textures, half of them hold numbers and no colours, and bytes are kept as bytes.
 
 use std::io::Cursor;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -8,6 +11,7 @@ use glam::{Vec2, Vec4};
 use image::{DynamicImage, ImageDecoder, ImageReader, Limits};
 
 use crate::photo::Image;
+use crate::photo::colour::srgb_decode;
 
 /// Widest and highest texture read.
 pub(super) const MAX_SIDE: u32 = 16_384;
@@ -87,7 +91,7 @@ impl Texture {
             let is_float =
                 matches!(picture, DynamicImage::ImageRgb32F(_) | DynamicImage::ImageRgba32F(_));
             let curved = meaning == TexelMeaning::Colour && !is_float;
-            let decode = |x: f32| if curved { srgb_to_linear(x) } else { x };
+            let decode = |x: f32| if curved { srgb_decode(x) } else { x };
             let values = picture.into_rgba32f().into_raw();
             let texel = |t: &[f32; 4]| Vec4::new(decode(t[0]), decode(t[1]), decode(t[2]), t[3]);
             let texels: Vec<Vec4> = values.as_chunks::<4>().0.iter().map(texel).collect();
@@ -145,12 +149,7 @@ impl Texture {
 
 /// Linear light of every sRGB byte.
 static SRGB_TABLE: LazyLock<[f32; 256]> =
-    LazyLock::new(|| std::array::from_fn(|i| srgb_to_linear(i as f32 / 255.0)));
-
-/// IEC 61966-2-1, 0…1.
-fn srgb_to_linear(x: f32) -> f32 {
-    if x <= 0.04045 { x / 12.92 } else { ((x + 0.055) / 1.055).powf(2.4) }
-}
+    LazyLock::new(|| std::array::from_fn(|i| srgb_decode(i as f32 / 255.0)));
 
 /// The two texels between whose centres a coordinate lies, and the weight of the second.
 fn neighbours(u: f32, n: usize, wrap: Wrap) -> (usize, usize, f32) {
