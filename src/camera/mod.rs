@@ -6,6 +6,7 @@
 pub mod lens;
 pub mod planar_pose;
 pub mod pose;
+pub mod slip;
 
 pub use lens::{Distortion, Lens};
 pub use pose::Pose;

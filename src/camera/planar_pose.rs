@@ -101,15 +101,30 @@ pub struct PlanarPose {
 
 /// Pose of the camera that sees `sightings` (coplanar, at least four) through `lens`.
 pub fn solve(lens: &Lens, sightings: &[Sighting], noise: &Noise) -> Result<PlanarPose, PoseError> {
-    let plane = Plane::through(sightings)?;
-    let homography = homography(lens, sightings, &plane)?;
+    solve_joint(lens, &[sightings.to_vec()], noise)
+}
 
-    // Refine both planar solutions; a start that leaves the field is no solution.
-    let mut found: Vec<Fit> = planar_starts(&homography)
-        .into_iter()
-        .filter_map(|rotation| start(lens, sightings, &plane, rotation))
-        .filter_map(|pose| refine(lens, sightings, pose))
-        .collect();
+/// Pose of the camera that sees several flat targets, each in its own plane, through `lens`.
+///
+/// Every target's two planar solutions start a fit to the points of all targets.
+pub fn solve_joint(
+    lens: &Lens,
+    targets: &[Vec<Sighting>],
+    noise: &Noise,
+) -> Result<PlanarPose, PoseError> {
+    let planes = targets.iter().map(|t| Plane::through(t)).collect::<Result<Vec<_>, _>>()?;
+    let sightings = &targets.concat();
+    let mut starts = vec![];
+    for (target, plane) in targets.iter().zip(&planes) {
+        let homography = homography(lens, target, plane)?;
+        for rotation in planar_starts(&homography) {
+            starts.extend(start(lens, target, plane, rotation));
+        }
+    }
+
+    // Refine all; a start that leaves the field is no solution.
+    let mut found: Vec<Fit> =
+        starts.into_iter().filter_map(|pose| refine(lens, sightings, pose)).collect();
     found.sort_by(|a, b| a.sum_squares.total_cmp(&b.sum_squares));
     let best = found.first().ok_or(PoseError::NoSolution)?;
 
@@ -119,18 +134,19 @@ pub fn solve(lens: &Lens, sightings: &[Sighting], noise: &Noise) -> Result<Plana
         / (noise.degrees + spare))
         .sqrt();
     let rms = |fit: &Fit| (fit.sum_squares / sightings.len() as f64).sqrt();
-    let alternative = found.get(1).filter(|other| differs(&best.pose, &other.pose)).map(|other| {
+    let alternative = found.iter().find(|other| differs(&best.pose, &other.pose)).map(|other| {
         let delta_chi2 = (other.sum_squares - best.sum_squares) / sigma_px.powi(2);
         Alternative { pose: other.pose.clone(), rms_px: rms(other), delta_chi2 }
     });
-    let scatter = scatter(lens, sightings, best, sigma_px, plane.origin, noise.size_sigma)
+    let centre = sightings.iter().map(|s| s.world).sum::<DVec3>() / sightings.len() as f64;
+    let scatter = scatter(lens, sightings, best, sigma_px, centre, noise.size_sigma)
         .ok_or(PoseError::Degenerate)?;
     let covariance = Some(total_covariance(lens, &scatter));
     let pose = Pose { covariance, ..best.pose.clone() };
     let verdict = match &alternative {
         Some(a) if a.delta_chi2 < AMBIGUOUS_DELTA_CHI2 => Verdict::Ambiguous,
         Some(a) if a.delta_chi2 < CLEAR_DELTA_CHI2 => Verdict::Probable,
-        None if leaning_is_lost(&pose, &plane) => Verdict::Ambiguous,
+        None if planes.len() == 1 && leaning_is_lost(&pose, &planes[0]) => Verdict::Ambiguous,
         _ => Verdict::Clear,
     };
     Ok(PlanarPose {
@@ -386,7 +402,7 @@ fn differs(a: &Pose, b: &Pose) -> bool {
 ///
 /// There both minima melt into one flat minimum: no second solution is found, yet none is excluded.
 fn leaning_is_lost(pose: &Pose, plane: &Plane) -> bool {
-    // Near the flat minimum σ is the curvature's only: twice as wide is measured to be safe.
+    // Near the flat minimum σ is only the curvature's: five of it.
     const MATTERS_RAD: f64 = 0.01;
     let sight = (plane.origin - pose.position()).normalize_or_zero();
     let tilt = sight.cross(plane.axes.z_axis).length().asin();
