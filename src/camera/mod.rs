@@ -3,6 +3,8 @@
 //! corners or files → [`Camera`] = size + [`Lens`] + [`Pose`], with covariances.
 //! This room never detects anything in a picture (that is `calib/`) and never warps one.
 
+pub mod file;
+pub mod interchange;
 pub mod lens;
 pub mod planar_pose;
 pub mod pose;

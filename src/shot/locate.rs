@@ -1,0 +1,300 @@
+//! `[pose]`: a tag, a board, a marked rectangle or a file → where the camera stood, with its errors.
+
+use std::path::PathBuf;
+
+use glam::DVec3;
+
+use super::camera_keys::{Board, Placing, PoseSource, TagPose};
+use super::detect::{self, DetectError};
+use crate::camera::planar_pose::{
+    self, Noise, PlanarPose, PoseError, PoseScatter, Sighting, Verdict,
+};
+use crate::camera::{Camera, Lens, Pose, file, slip};
+use crate::photo::{self, Photo, PhotoError, ReadOptions};
+use crate::report::{PoseReport, Warning};
+
+/// Where a camera stood, and everything the report says about it.
+#[derive(Clone, Debug)]
+pub struct FoundPose {
+    pub pose: Pose,
+    /// How the pose scatters, lens and own part apart; `None` for a pose read from a file.
+    pub scatter: Option<PoseScatter>,
+    /// `slip_px` is left empty: see [`FoundPose::slip_px`].
+    pub report: PoseReport,
+    pub warnings: Vec<Warning>,
+}
+
+/// Why there is no pose.
+#[derive(Debug, thiserror::Error)]
+pub enum LocateError {
+    #[error(transparent)]
+    Photo(#[from] PhotoError),
+    #[error("{}: {cause}", photo.display())]
+    Detect { photo: PathBuf, cause: DetectError },
+    #[error("{target}: {cause}")]
+    Pose { target: String, cause: PoseError },
+    #[error(
+        "{}: {}×{} px, but the camera it is to locate has {}×{}; use a photograph of the same setting",
+        photo.display(), found[0], found[1], expected[0], expected[1]
+    )]
+    OtherSize { photo: PathBuf, found: [usize; 2], expected: [usize; 2] },
+    #[error("{target}: facing and up are parallel or zero; up lies in the print's plane")]
+    Placing { target: String },
+    #[error("pose.board: describe the board (kind, corners, square_mm): [camera] has none")]
+    NoBoard,
+    #[error(
+        "{target}: two poses fit equally ({detail}); photograph it tilted by 20° or more, \
+         or use a larger target or several tags"
+    )]
+    Ambiguous { target: String, detail: String },
+    #[error(transparent)]
+    File(#[from] file::CameraFileError),
+    #[error("{}: the file has a lens but no pose", path.display())]
+    NoPose { path: PathBuf },
+}
+
+/// Smallest σ of a board corner that is believed, px, and what it is worth in residuals.
+const BOARD_SIGMA_PX: f64 = 0.03;
+const BOARD_DEGREES: f64 = 4.0;
+/// What the edge lines' σ of a tag corner is worth in residuals.
+const TAG_DEGREES: f64 = 8.0;
+/// How exactly people click the corners of a rectangle, px.
+const CLICK_SIGMA_PX: f64 = 0.5;
+/// How exactly targets are printed and measured.
+const PRINT_SIGMA: f64 = 0.0;
+
+/// The pose that a shot names, for a camera with this lens and picture size.
+///
+/// `board` is the board of `[camera]`, for a `[pose] board` that does not describe its own.
+pub fn find_pose(
+    source: &PoseSource,
+    lens: &Lens,
+    size: [usize; 2],
+    board: Option<&Board>,
+) -> Result<FoundPose, LocateError> {
+    match source {
+        PoseSource::Tags(tags) => from_tags(tags, lens, size),
+        PoseSource::Board(own) => {
+            let board = own.board.as_ref().or(board).ok_or(LocateError::NoBoard)?;
+            let photo = read(&own.photo, size)?;
+            from_board(&photo, board, &own.placing, lens)
+        }
+        PoseSource::Rectangle(own) => {
+            let target = "pose.rectangle".to_owned();
+            let place = &own.placing;
+            let corners = planar_pose::rectangle_corners(
+                place.at.into(),
+                place.facing.into(),
+                place.up.into(),
+                own.size[0],
+                own.size[1],
+            )
+            .ok_or(LocateError::Placing { target: target.clone() })?;
+            let sightings = corners
+                .iter()
+                .zip(&own.corners_px)
+                .map(|(&world, &pixel)| Sighting { world, pixel: pixel.into() })
+                .collect();
+            let noise =
+                Noise { sigma_px: CLICK_SIGMA_PX, degrees: TAG_DEGREES, size_sigma: PRINT_SIGMA };
+            solve(&[sightings], lens, &noise, target, "four corners of a rectangle".into())
+        }
+        PoseSource::File(path) => {
+            let read = file::read(path)?;
+            if !read.has_pose {
+                return Err(LocateError::NoPose { path: path.clone() });
+            }
+            let report = PoseReport { source: path.display().to_string(), ..PoseReport::default() };
+            let mut found =
+                FoundPose { pose: read.camera.pose, scatter: None, report, warnings: vec![] };
+            found.fill_report();
+            Ok(found)
+        }
+    }
+}
+
+fn read(path: &std::path::Path, [width, height]: [usize; 2]) -> Result<Photo, LocateError> {
+    let photo = photo::read(path, &ReadOptions::default())?;
+    let found = [photo.linear.width(), photo.linear.height()];
+    if found != [width, height] {
+        let expected = [width, height];
+        return Err(LocateError::OtherSize { photo: path.to_owned(), found, expected });
+    }
+    Ok(photo)
+}
+
+/// Pose from one or more tags, each in a photograph from the same place.
+pub fn from_tags(
+    tags: &[TagPose],
+    lens: &Lens,
+    size: [usize; 2],
+) -> Result<FoundPose, LocateError> {
+    let mut targets = vec![];
+    let mut warnings = vec![];
+    let mut sigma_px = 0.0f64;
+    for tag in tags {
+        let photo = read(&tag.photo, size)?;
+        let (sightings, sigma, said) = sight_tag(&photo, tag, lens)?;
+        targets.push(sightings);
+        sigma_px = sigma_px.max(sigma);
+        warnings.extend(said);
+    }
+    let source = match tags {
+        [one] => format!("tag {} ({})", one.id, one.family),
+        _ => format!("{} tags", tags.len()),
+    };
+    let noise = Noise { sigma_px, degrees: TAG_DEGREES, size_sigma: PRINT_SIGMA };
+    let target = tags.first().map_or("pose.tags".into(), |t| t.photo.display().to_string());
+    let mut found = solve(&targets, lens, &noise, target, source)?;
+    found.warnings.extend(warnings);
+    Ok(found)
+}
+
+/// Corners of a tag where the world has them, their σ, and what to say about them.
+fn sight_tag(
+    photo: &Photo,
+    tag: &TagPose,
+    lens: &Lens,
+) -> Result<(Vec<Sighting>, f64, Option<Warning>), LocateError> {
+    const CLIPPED: f64 = 0.2;
+    let name = photo.path.display();
+    let seen = detect::tag(photo, &tag.family, tag.id, Some(lens))
+        .map_err(|cause| LocateError::Detect { photo: photo.path.clone(), cause })?;
+    let side = tag.size_mm * 1e-3;
+    let place = &tag.placing;
+    let (at, facing, up) = (place.at.into(), place.facing.into(), place.up.into());
+    let corners = planar_pose::rectangle_corners(at, facing, up, side, side)
+        .ok_or_else(|| LocateError::Placing { target: name.to_string() })?;
+    let sightings =
+        corners.iter().zip(seen.corners).map(|(&world, pixel)| Sighting { world, pixel }).collect();
+    if seen.clipped_white > CLIPPED {
+        // F40: black grows by the light that spills over a clipped edge.
+        let said = Warning::new(
+            "pose.tag",
+            format!("{name}: the white round the tag is clipped; use a shorter exposure"),
+            "corners up to 0.9 px, distance up to 1.3 %",
+        );
+        return Ok((sightings, seen.sigma_px.max(0.5), Some(said)));
+    }
+    let said = (!seen.by_edges).then(|| {
+        Warning::new(
+            "pose.tag",
+            format!(
+                "{name}: tag {} is too small or too blurred to fit its edges; go nearer",
+                tag.id
+            ),
+            format!("corners known to {:.2} px only", seen.sigma_px),
+        )
+    });
+    Ok((sightings, seen.sigma_px, said))
+}
+
+/// Pose from a board in a photograph.
+pub fn from_board(
+    photo: &Photo,
+    board: &Board,
+    place: &Placing,
+    lens: &Lens,
+) -> Result<FoundPose, LocateError> {
+    let name = photo.path.display().to_string();
+    let seen = detect::board(photo, board)
+        .map_err(|cause| LocateError::Detect { photo: photo.path.clone(), cause })?;
+    let (right, up) = planar_pose::target_axes(place.facing.into(), place.up.into())
+        .ok_or_else(|| LocateError::Placing { target: name.clone() })?;
+    let at = DVec3::from(place.at);
+    let sightings = seen
+        .points
+        .iter()
+        .map(|&(on_print, pixel)| Sighting {
+            world: at + right * on_print.x - up * on_print.y,
+            pixel,
+        })
+        .collect();
+    let noise = Noise { sigma_px: BOARD_SIGMA_PX, degrees: BOARD_DEGREES, size_sigma: PRINT_SIGMA };
+    let mut found = solve(&[sightings], lens, &noise, name.clone(), "a board".into())?;
+    if seen.turned_unknown {
+        found.warnings.push(Warning::new(
+            "pose.board",
+            format!(
+                "{name}: this board looks the same upside down; its upper left corner was taken to be the \
+                 one nearest the picture's; a board with one odd and one even count cannot be mistaken"
+            ),
+            "the camera may stand on the opposite side",
+        ));
+    }
+    Ok(found)
+}
+
+fn solve(
+    targets: &[Vec<Sighting>],
+    lens: &Lens,
+    noise: &Noise,
+    target: String,
+    source: String,
+) -> Result<FoundPose, LocateError> {
+    let solved = planar_pose::solve_joint(lens, targets, noise)
+        .map_err(|cause| LocateError::Pose { target: target.clone(), cause })?;
+    let ambiguity = ambiguity(&solved);
+    if solved.verdict == Verdict::Ambiguous {
+        let detail = ambiguity.unwrap_or_else(|| "the target is seen face-on".into());
+        return Err(LocateError::Ambiguous { target, detail });
+    }
+    let mut warnings = vec![];
+    if solved.verdict == Verdict::Probable {
+        warnings.push(Warning::new(
+            "pose",
+            format!("{target}: a second pose fits nearly as well; tilt the target more"),
+            "wrong about once in a thousand",
+        ));
+    }
+    // Far more than the detector's σ: a wrong size, a bent print, a changed lens.
+    if solved.sigma_px > 5.0 * noise.sigma_px.max(0.1) {
+        warnings.push(Warning::new(
+            "pose",
+            format!(
+                "{target}: corners miss by {:.2} px rms; check the target's size and flatness, and that \
+                 focus and zoom are those of the calibration",
+                solved.rms_px
+            ),
+            "contained in the stated σ",
+        ));
+    }
+    let report =
+        PoseReport { source, rms_px: Some(solved.rms_px), ambiguity, ..PoseReport::default() };
+    let scatter = Some(solved.scatter);
+    let mut found = FoundPose { pose: solved.pose, scatter, report, warnings };
+    found.fill_report();
+    Ok(found)
+}
+
+fn ambiguity(solved: &PlanarPose) -> Option<String> {
+    let other = solved.alternative.as_ref()?;
+    let [x, y, z] = other.pose.position().to_array();
+    Some(format!(
+        "a second pose at {x:.3}, {y:.3}, {z:.3} m fits to {:.2} px instead of {:.2} (Δχ² {:.1})",
+        other.rms_px, solved.rms_px, other.delta_chi2
+    ))
+}
+
+impl FoundPose {
+    fn fill_report(&mut self) {
+        self.report.position_m = self.pose.position().to_array();
+        let sigmas = self.pose.sigmas();
+        self.report.sigma_position_m = sigmas.map(|(_, position)| position.to_array());
+        self.report.sigma_rotation_deg =
+            sigmas.map(|(turn, _)| turn.to_array().map(f64::to_degrees));
+    }
+
+    /// Predicted slip (px) of an object with its foot at `foot` on a support with this normal.
+    ///
+    /// `camera` is the one whose pose this is, cropped or not.
+    pub fn slip_px(
+        &self,
+        camera: &Camera,
+        foot: DVec3,
+        normal: DVec3,
+        radius_m: f64,
+    ) -> Option<f64> {
+        slip::predicted_px(camera, self.scatter.as_ref()?, foot, normal, radius_m)
+    }
+}
