@@ -5,10 +5,14 @@
 //! lists below. Results go to stdout, everything said to a person on the way to stderr.
 //! This room computes nothing.
 
+mod batch;
+mod check;
 mod error;
 mod merge;
 mod preview;
 mod progress;
+mod run;
+mod terminal;
 
 pub use error::CliError;
 pub use progress::progress_bar;
@@ -89,6 +93,9 @@ impl Global {
 /// The commands; each has its file.
 #[derive(Debug, Subcommand)]
 enum Command {
+    Run(run::Args),
+    Check(check::Args),
+    Batch(batch::Args),
     Merge(merge::Args),
     Preview(preview::Args),
 }
@@ -96,6 +103,9 @@ enum Command {
 /// Runs the command with its arguments.
 fn dispatch(command: &Command, global: &Global) -> Result<Outcome, CliError> {
     match command {
+        Command::Run(args) => run::run(args, global),
+        Command::Check(args) => check::run(args, global),
+        Command::Batch(args) => batch::run(args, global),
         Command::Merge(args) => merge::run(args, global),
         Command::Preview(args) => preview::run(args, global),
     }

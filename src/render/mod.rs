@@ -41,6 +41,11 @@ impl Context {
         Self { seed, ..Self::default() }
     }
 
+    /// The same cancellation with another seed.
+    pub fn with_seed(&self, seed: u64) -> Self {
+        Self { seed, cancelled: Arc::clone(&self.cancelled) }
+    }
+
     /// Asks every computation that shares this context to stop soon.
     pub fn cancel(&self) {
         self.cancelled.store(true, Ordering::Relaxed);

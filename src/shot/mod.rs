@@ -4,18 +4,26 @@
 
 pub mod calibrate;
 pub mod camera_keys;
+pub mod batch;
+pub mod budget;
+pub mod check;
 pub mod detect;
 pub mod existing;
 pub mod exposures;
 pub mod file;
+pub mod finish;
 pub mod frames;
 pub mod keys;
+pub mod light;
 pub mod locate;
 pub mod near_field;
+pub mod overlays;
 pub mod pictures;
 pub mod place;
 pub mod plan;
+pub mod prepare;
 pub mod probe_keys;
+pub mod run;
 pub mod watch;
 pub mod write;
 

@@ -1,0 +1,31 @@
+//! `platelight check`: everything that can be wrong with a shot, before any rendering.
+
+use std::path::PathBuf;
+
+use super::terminal::Terminal;
+use super::{CliError, Global, Outcome};
+use crate::shot::{ShotFile, check};
+
+/// Find everything that is wrong with a shot, without rendering
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  platelight check shots/robot
+  platelight check shots/robot --json
+
+Reads every file, calibrates, finds tags, boards and the ball, and predicts memory and time.
+Writes nothing. Exit code 0 if the shot can run, 2 if not; all problems are told together.")]
+pub struct Args {
+    /// The shot file, or the folder that holds shot.toml
+    shot: PathBuf,
+}
+
+pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
+    let shot = ShotFile::read(&args.shot)?;
+    let terminal = Terminal::new(global);
+    let findings = check::check(&shot, &terminal);
+    terminal.finish();
+    let findings = findings.map_err(|error| CliError::several(error.problems()))?;
+    global.print(&findings, || findings.to_string());
+    Ok(Outcome::Done)
+}

@@ -1,0 +1,107 @@
+//! `platelight run`: one shot, from photographs to the finished picture.
+
+use std::path::PathBuf;
+
+use super::terminal::Terminal;
+use super::{CliError, Global, Outcome};
+use crate::report::summary;
+use crate::shot::batch::out_folder;
+use crate::shot::run::{RunOptions, run_frames};
+use crate::shot::{ShotFile, file::StopKeys};
+
+/// Put the objects of a shot into its plate
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  platelight run shots/robot
+  platelight run shots/robot/shot.toml --out renders/robot --error 0.005
+  platelight run shots/robot --time 60
+
+Writes composite.exr (all layers), composite.png, camera.json, panorama.exr, report.json, report.html
+and overlays. A first composite is there seconds after the start and is replaced when it is finished.")]
+pub struct Args {
+    /// The shot file, or the folder that holds shot.toml
+    shot: PathBuf,
+    /// Folder for the results [default: out/ beside the shot file]
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+    #[command(flatten)]
+    stop: Stop,
+    /// Leave a shot alone whose results are complete and from the same inputs
+    #[arg(long)]
+    skip_existing: bool,
+}
+
+/// When to stop; goes before [render] of the shot file.
+#[derive(Debug, Default, clap::Args)]
+#[group(multiple = false)]
+pub struct Stop {
+    /// Stop at this error relative to the plate, for example 0.01
+    #[arg(long, value_name = "SHARE")]
+    error: Option<f64>,
+    /// Stop after this many seconds of rendering
+    #[arg(long, value_name = "SECONDS")]
+    time: Option<f64>,
+    /// Stop after this many samples in every influenced pixel
+    #[arg(long, value_name = "N")]
+    samples: Option<u32>,
+}
+
+impl Stop {
+    /// What was asked for, if anything.
+    pub fn keys(&self) -> Result<Option<StopKeys>, CliError> {
+        let positive = |name: &str, value: f64| {
+            if value.is_finite() && value > 0.0 {
+                Ok(value)
+            } else {
+                Err(CliError::wrong(format!("--{name}: {value} is not above 0")))
+            }
+        };
+        Ok(match (self.error, self.time, self.samples) {
+            (Some(error), ..) => Some(StopKeys::Error(positive("error", error)?)),
+            (_, Some(time), _) => Some(StopKeys::Time(positive("time", time)?)),
+            (.., Some(0)) => return Err(CliError::wrong("--samples: 0 samples show nothing")),
+            (.., Some(samples)) => Some(StopKeys::Samples(samples)),
+            _ => None,
+        })
+    }
+}
+
+pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
+    let shot = ShotFile::read(&args.shot)?;
+    let out = args.out.clone().unwrap_or_else(|| out_folder(&shot.path, None));
+    let options = RunOptions { skip_existing: args.skip_existing, stop: args.stop.keys()? };
+    let terminal = Terminal::new(global);
+    let frames = run_frames(&shot, &out, &options, &global.context(), &terminal);
+    terminal.finish();
+
+    let mut outcome = Outcome::Done;
+    let mut problems = Vec::new();
+    let mut reports = Vec::new();
+    let n_frames = frames.len();
+    for result in frames {
+        match result {
+            Ok(finished) => {
+                if !finished.complete {
+                    outcome = Outcome::Interrupted;
+                }
+                reports.extend(finished.report);
+            }
+            Err(error) => problems.extend(error.problems()),
+        }
+    }
+    if !problems.is_empty() && (reports.is_empty() || n_frames == 1) {
+        return Err(CliError::several(problems));
+    }
+    for problem in &problems {
+        global.warn(problem);
+    }
+    if !problems.is_empty() {
+        outcome = Outcome::PartFailed;
+    }
+    match reports.as_slice() {
+        [report] => global.print(report, || summary(report)),
+        _ => global.print(&reports, || format!("{} frames in {}", reports.len(), out.display())),
+    }
+    Ok(outcome)
+}

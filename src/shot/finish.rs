@@ -1,0 +1,274 @@
+//! After rendering: composite, layers, overlays, report.
+
+use std::path::PathBuf;
+
+use super::budget;
+use super::plan::Plan;
+use super::prepare::Prepared;
+use super::run::{RunError, mode, wrong_size};
+use super::watch::{Stopwatch, Watch};
+use super::write::{self, CompositeSettings, FileMark, OutFiles};
+use super::{overlays, place};
+use crate::camera;
+use crate::composite::{Composite, compose};
+use crate::photo::Image;
+use crate::render::Difference;
+use crate::report::{self, CompositeReport, Picture, RenderReport, Report, Warning};
+
+/// What a finished rendering leaves.
+pub struct Finish<'a> {
+    pub plan: &'a Plan,
+    pub prepared: Prepared,
+    pub difference: Difference,
+    pub render: RenderReport,
+    pub settings: serde_json::Value,
+    pub inputs: Vec<FileMark>,
+    pub seed: u64,
+}
+
+/// Writes everything; the report is last, so that a report means a complete shot.
+pub fn finish(
+    done: Finish,
+    files: &OutFiles,
+    mut stopwatch: Stopwatch,
+    watch: &dyn Watch,
+) -> Result<Report, RunError> {
+    let Finish { plan, prepared, difference, render, settings, inputs, seed } = done;
+    let plate = &plan.plate;
+    let (mode, reason) = mode(plan);
+    let composite = compose(plate, &difference, mode).map_err(wrong_size)?;
+    let encoded = write::encoded(plate, &composite, &difference);
+
+    let mut outputs = Outputs { paths: Vec::new(), watch };
+    let png_path = files.path("composite", "png");
+    write::composite_png(&png_path, plate, &composite, &encoded)?;
+    outputs.wrote(png_path);
+    let exr_path = files.path("composite", "exr");
+    let exr_settings = CompositeSettings {
+        layers: plan.shot.output.layers.clone(),
+        mode: mode.name(),
+        shot: settings.clone(),
+        seed,
+    };
+    write::composite_exr(
+        &exr_path,
+        plate,
+        &difference,
+        &composite,
+        &encoded,
+        &prepared.camera,
+        &exr_settings,
+    )?;
+    outputs.wrote(exr_path);
+    let panorama_path = files.path("panorama", "exr");
+    write::panorama_exr(&panorama_path, &prepared.light.panorama, plan.scale.factor)?;
+    outputs.wrote(panorama_path);
+    let camera_path = files.path("camera", "json");
+    camera::file::write(&camera_path, &prepared.camera, true)
+        .map_err(|error| RunError::Problems(vec![error.to_string()]))?;
+    outputs.wrote(camera_path);
+    let pictures = write_pictures(plan, &prepared, files, &mut outputs)?;
+
+    let mut warnings = prepared.warnings.clone();
+    warnings.extend(composite_warnings(&composite, encoded.clamped));
+    warnings.extend(scale_warning(&difference));
+    if let Some(ground) = place::ground(plan) {
+        warnings.extend(border_warning(&prepared, &difference, &ground));
+    }
+    for warning in &warnings[prepared.warnings.len()..] {
+        watch.warning(warning);
+    }
+    let budget = budget::budget(&prepared, &render);
+    let report = Report {
+        program: concat!("platelight ", env!("CARGO_PKG_VERSION")).to_owned(),
+        shot: settings,
+        seed,
+        inputs: serde_json::to_value(&inputs).unwrap_or_default(),
+        outputs: outputs.marks(),
+        camera: prepared.camera_report,
+        pose: prepared.pose_report,
+        probe: prepared.probe_report,
+        lights: prepared.lights_report,
+        render,
+        composite: CompositeReport {
+            mode: mode.name().to_owned(),
+            reason: reason.to_owned(),
+            tally: composite.tally,
+            clamped: encoded.clamped,
+            albedo_median: albedo_median(&difference.albedo),
+        },
+        stages: stopwatch.finish(),
+        budget,
+        warnings,
+        pictures,
+    };
+    let html_path = files.path("report", "html");
+    let before = files.name("before", "png");
+    report::write_html(&html_path, &report, &before, &files.name("composite", "png"))?;
+    watch.written(&html_path);
+    let json_path = files.path("report", "json");
+    report::write_json(&json_path, &report)?;
+    watch.written(&json_path);
+    Ok(report)
+}
+
+/// Files written so far.
+struct Outputs<'a> {
+    paths: Vec<PathBuf>,
+    watch: &'a dyn Watch,
+}
+
+impl Outputs<'_> {
+    fn wrote(&mut self, path: PathBuf) {
+        self.watch.written(&path);
+        self.paths.push(path);
+    }
+
+    fn marks(&self) -> serde_json::Value {
+        let marks: Vec<FileMark> =
+            self.paths.iter().filter_map(|path| FileMark::of(path)).collect();
+        serde_json::to_value(marks).unwrap_or_default()
+    }
+}
+
+/// The plate and the overlays as PNGs; returns those the report shows below its tables.
+fn write_pictures(
+    plan: &Plan,
+    prepared: &Prepared,
+    files: &OutFiles,
+    outputs: &mut Outputs,
+) -> Result<Vec<Picture>, RunError> {
+    let before = files.path("before", "png");
+    write::canvas(&before, report::Canvas::new(&plan.plate.linear))?;
+    outputs.wrote(before);
+    let mut pictures = Vec::new();
+    for overlay in overlays::draw(plan, prepared) {
+        let path = files.path(overlay.name, "png");
+        write::canvas(&path, overlay.canvas)?;
+        outputs.wrote(path);
+        pictures.push(Picture {
+            file: files.name(overlay.name, "png"),
+            title: overlay.title.to_owned(),
+            caption: overlay.caption.to_owned(),
+        });
+    }
+    Ok(pictures)
+}
+
+fn composite_warnings(composite: &Composite, clamped: u64) -> Vec<Warning> {
+    let tally = composite.tally;
+    let share = |n: u64| format!("{:.2} % of the changed pixels", percent(n, tally.changed));
+    let mut warnings = Vec::new();
+    if tally.not_finite > 0 {
+        warnings.push(Warning::new(
+            "render",
+            "some pixels came out as no number; they keep the plate, please report this",
+            format!("{} pixels", tally.not_finite),
+        ));
+    }
+    if percent(tally.plate_clipped, tally.changed) > 1.0 {
+        warnings.push(Warning::new(
+            "composite",
+            "the plate is clipped where the objects change it: the true result is brighter",
+            share(tally.plate_clipped),
+        ));
+    }
+    if percent(tally.negative, 3 * tally.changed) > 1.0 {
+        warnings.push(Warning::new(
+            "composite",
+            "more light is taken away than the plate has; the exposures of plate and probe disagree, \
+             or the albedo given is too high",
+            format!("{:.2} % of the changed samples were set to 0", percent(tally.negative, 3 * tally.changed)),
+        ));
+    }
+    if percent(clamped, 3 * tally.changed) > 1.0 {
+        warnings.push(Warning::new(
+            "composite",
+            "results lie beyond the plate's sample type and are clamped in the main picture; the \
+             object and difference layers hold them whole",
+            format!("{:.2} % of the changed samples", percent(clamped, 3 * tally.changed)),
+        ));
+    }
+    warnings
+}
+
+fn percent(part: u64, whole: u64) -> f64 {
+    if whole == 0 { 0.0 } else { 100.0 * part as f64 / whole as f64 }
+}
+
+/// A surface that seems to give back more light than it gets: plate and probe disagree (R9.2).
+fn scale_warning(difference: &Difference) -> Option<Warning> {
+    let (mut solved, mut too_white) = (0u64, 0u64);
+    for albedo in difference.albedo.pixels() {
+        solved += u64::from(albedo.max_element() > 0.0);
+        too_white += u64::from(albedo.max_element() > 0.95);
+    }
+    let share = percent(too_white, solved);
+    (share > 5.0).then(|| {
+        Warning::new(
+            "plate.exposure",
+            "the support seems to reflect more than 95 % of its light: the exposures of plate and \
+             probe, the ball's reflectance or the sun's strength are wrong, or light comes from near by",
+            format!("{share:.0} % of the support's pixels"),
+        )
+    })
+}
+
+/// A shadow that reaches the border of the modelled support is cut off there (R9.8).
+fn border_warning(
+    prepared: &Prepared,
+    difference: &Difference,
+    ground: &report::overlay::Ground,
+) -> Option<Warning> {
+    const STEPS: i32 = 200;
+    let (mut cut, mut seen) = (0u64, 0u64);
+    for (side, other) in [(0, 1), (1, 0)] {
+        for edge in [-0.99, 0.99] {
+            for i in -STEPS..=STEPS {
+                let along = f64::from(i) / f64::from(STEPS) * ground.half_size[side];
+                let across = edge * ground.half_size[other];
+                let point =
+                    ground.centre + ground.sides[side] * along + ground.sides[other] * across;
+                let Some(pixel) = prepared.camera.project_world(point) else { continue };
+                let (x, y) = (pixel.x.round(), pixel.y.round());
+                if x < 0.0 || y < 0.0 {
+                    continue;
+                }
+                let at = (x as usize, y as usize);
+                let Some(&d) = difference.difference.get(at.0, at.1) else { continue };
+                if at.1 >= difference.difference.height() {
+                    continue;
+                }
+                seen += 1;
+                let plate_noise = 2.0 * difference.stderr[at];
+                let visible = d.abs().cmpgt(plate_noise).any()
+                    && difference.ratio[at].abs().max_element() > 0.01;
+                cut += u64::from(visible && difference.coverage[at] < 1.0);
+            }
+        }
+    }
+    (percent(cut, seen) > 1.0).then(|| {
+        Warning::new(
+            "support",
+            "the objects' shadow or light reaches the border of the modelled support and ends \
+             there; make the support larger",
+            format!("{:.0} % of its border, more than 1 % of the plate there", percent(cut, seen)),
+        )
+    })
+}
+
+/// Median of the solved albedo per channel, over pixels where it was solved.
+fn albedo_median(albedo: &Image<crate::conventions::Rgb>) -> Option<[f64; 3]> {
+    let solved: Vec<_> =
+        albedo.pixels().iter().filter(|a| a.max_element() > 0.0 && a.is_finite()).collect();
+    if solved.is_empty() {
+        return None;
+    }
+    let median = |channel: usize| {
+        let mut values: Vec<f32> = solved.iter().map(|a| a.to_array()[channel]).collect();
+        let middle = values.len() / 2;
+        let (_, &mut median, _) = values.select_nth_unstable_by(middle, f32::total_cmp);
+        f64::from(median)
+    };
+    Some([median(0), median(1), median(2)])
+}

@@ -1,0 +1,516 @@
+//! The shot's light: probe photographs → panorama in the plate's scale → lights.
+
+use std::f64::consts::PI;
+
+use glam::{DMat3, DQuat, DVec2, DVec3};
+
+use super::exposures::Scale;
+use super::place;
+use super::plan::Plan;
+use super::probe_keys::{
+    Ball as BallKeys, Clipped, Fisheye, FisheyeMapping, PanoramaKeys, PanoramaMapping, ProbeSource,
+    Suns,
+};
+use crate::bracket::{self, Radiance, Validity};
+use crate::camera::{Camera, Distortion, Lens};
+use crate::conventions::{Rgb, luminance};
+use crate::light::clipped::{self, Stage};
+use crate::light::{Disc, LightOptions, Lights, SunSplit};
+use crate::photo::{Image, Photo};
+use crate::probe::mapping::{Angular, CubeCross, Mapping, Through};
+use crate::probe::resample::to_lat_long;
+use crate::probe::unwrap::{Support, natural_width, unwrap_ball};
+use crate::probe::{Ball, ClippedRegion, Panorama, Rim, clipped_regions, find};
+use crate::report::{
+    ClippedReport, LightsReport, ProbeReport, SunReport, Warning, azimuth_elevation,
+};
+use crate::scene::Scene;
+use crate::trace::Accel;
+
+/// The light of a shot and how well it is known.
+pub struct Light {
+    /// In the plate's linear values; lights that stand on their own are taken out.
+    pub panorama: Panorama,
+    pub lights: Lights,
+    /// The ball's camera and rim, for the overlay.
+    pub ball: Option<(Camera, Rim)>,
+    /// Relative standard error of the irradiance on level ground, from the panorama's variance.
+    pub sigma_irradiance: Option<f64>,
+    /// Relative standard error of a recovered sun.
+    pub sigma_sun: Option<f64>,
+    /// True if a ball's reflectance was divided out.
+    pub has_reflectance: bool,
+    pub warnings: Vec<Warning>,
+}
+
+/// The panorama, before clipped lights are judged.
+pub struct Unwrapped {
+    pub panorama: Panorama,
+    ball: Option<(Camera, Rim)>,
+    report: ProbeReport,
+    warnings: Vec<Warning>,
+}
+
+/// A clipped region with less than this share of the light changes nothing that can be seen.
+const NEGLIGIBLE_SHARE: f64 = 1e-3;
+
+/// Merges the bracket and unwraps it. `ball_camera` is needed for a ball.
+///
+/// # Errors
+/// Sentences with file or key and remedy.
+pub fn unwrap(plan: &Plan, ball_camera: Option<Camera>) -> Result<Unwrapped, String> {
+    let shot = plan.shot.path.display();
+    match &plan.shot.probe.source {
+        ProbeSource::Ball(keys) => {
+            let camera = ball_camera.ok_or_else(|| format!("{shot}: probe.ball: no camera"))?;
+            unwrap_the_ball(plan, keys, camera).map_err(|e| format!("{shot}: probe.ball: {e}"))
+        }
+        ProbeSource::Fisheye(keys) => {
+            unwrap_fisheye(plan, keys).map_err(|e| format!("{shot}: probe.fisheye: {e}"))
+        }
+        ProbeSource::Panorama(keys) => {
+            take_panorama(plan, keys).map_err(|e| format!("{shot}: probe.panorama: {e}"))
+        }
+    }
+}
+
+fn unwrap_the_ball(plan: &Plan, keys: &BallKeys, camera: Camera) -> Result<Unwrapped, String> {
+    let (radiance, mut warnings) = merged(plan)?;
+    let hints = find::Hints { circle_px: keys.hint_px, clean_plate: clean_plate(plan, keys) };
+    let found = find::find(&radiance.mean, &camera.lens, &hints).map_err(|e| e.to_string())?;
+    let reflectance = DVec3::from(keys.reflectance).as_vec3();
+    let ball = Ball::new(keys.at.into(), keys.radius, reflectance).map_err(|e| e.to_string())?;
+    let support =
+        place::support_plane(plan, ball.centre).map(|(point, normal)| Support { point, normal });
+
+    let width = natural_width(found.radius_px);
+    let panorama = unwrap_ball(&radiance, &camera, &found.rim, &ball, support.as_ref(), width)
+        .map_err(|e| e.to_string())?;
+    if let Some([u, v, r]) = found.rival_px {
+        warnings.push(Warning::new(
+            "probe.ball",
+            format!(
+                "another place looks nearly as much like a ball: centre {u:.0}, {v:.0}, radius \
+                     {r:.0} px; look at the overlay and give hint_px if the wrong one was taken"
+            ),
+            "all of the light, if the wrong one was taken",
+        ));
+    }
+    let report = ProbeReport {
+        source: format!("mirror ball, {} photographs", plan.probe_photos.len()),
+        ball_px: Some([found.centre_px.x, found.centre_px.y, found.radius_px]),
+        sigma_ball_px: Some(found.sigma_px),
+        sigma_direction_deg: Some(found.rim.sigma_direction_rad().to_degrees()),
+        ..ProbeReport::default()
+    };
+    Ok(Unwrapped { panorama, ball: Some((camera, found.rim)), report, warnings })
+}
+
+/// The plate, if it is the ball's photograph without the ball.
+fn clean_plate<'a>(plan: &'a Plan, keys: &BallKeys) -> Option<&'a Image<Rgb>> {
+    let same_view = keys.camera.is_none() && keys.pose.is_none() && keys.crop.is_none();
+    same_view.then_some(&plan.plate.linear)
+}
+
+fn unwrap_fisheye(plan: &Plan, keys: &Fisheye) -> Result<Unwrapped, String> {
+    let (radiance, warnings) = merged(plan)?;
+    let (w, h) = (radiance.mean.width() as f64, radiance.mean.height() as f64);
+    let [cx, cy, radius_px] =
+        keys.circle_px.unwrap_or([(w - 1.0) / 2.0, (h - 1.0) / 2.0, w.min(h) / 2.0]);
+    if !(radius_px.is_finite() && radius_px >= 2.0) {
+        return Err(format!("circle_px: a radius of {radius_px} px shows nothing; give u, v, r"));
+    }
+    let lens = fisheye_lens(keys, [cx, cy, radius_px]);
+    let camera_from_world = DMat3::from_quat(place::rotation(keys.rotation).inverse());
+    let width = natural_width(radius_px);
+    let mapping =
+        Circle { through: Through { lens: &lens }, centre: DVec2::new(cx, cy), radius_px };
+    let mut panorama = to_lat_long(&radiance, &mapping, camera_from_world, width);
+    panorama.place = keys.at.into();
+    let report = ProbeReport {
+        source: format!("fisheye, {} photographs", plan.probe_photos.len()),
+        ..ProbeReport::default()
+    };
+    Ok(Unwrapped { panorama, ball: None, report, warnings })
+}
+
+/// Both mappings are Kannala–Brandt polynomials: equidistant with no coefficient, equisolid
+/// 2f sin(θ/2) by its series (to 1e-8 rad at 90° off the axis).
+fn fisheye_lens(keys: &Fisheye, [cx, cy, radius_px]: [f64; 3]) -> Lens {
+    let edge = (0.5 * keys.fov_deg).to_radians();
+    let (focal, [k1, k2, k3, k4]) = match keys.mapping {
+        FisheyeMapping::Equidistant => (radius_px / edge, [0.0; 4]),
+        FisheyeMapping::Equisolid => (
+            radius_px / (2.0 * (0.5 * edge).sin()),
+            [-1.0 / 24.0, 1.0 / 1920.0, -1.0 / 322_560.0, 1.0 / 92_897_280.0],
+        ),
+    };
+    Lens {
+        fx: focal,
+        fy: focal,
+        cx,
+        cy,
+        distortion: Distortion::KannalaBrandt { k1, k2, k3, k4 },
+        covariance: None,
+    }
+}
+
+/// A fisheye's image circle: nothing outside it is a picture.
+struct Circle<'a> {
+    through: Through<'a>,
+    centre: DVec2,
+    radius_px: f64,
+}
+
+impl Mapping for Circle<'_> {
+    fn pixel(&self, direction: DVec3) -> Option<DVec2> {
+        self.through.pixel(direction).filter(|&p| p.distance(self.centre) <= self.radius_px)
+    }
+
+    fn direction(&self, pixel: DVec2) -> Option<DVec3> {
+        // Half a pixel more, so that pixels cut by the circle are not lost to differences.
+        let inside = pixel.distance(self.centre) <= self.radius_px + 0.5;
+        if inside { self.through.direction(pixel) } else { None }
+    }
+}
+
+fn take_panorama(plan: &Plan, keys: &PanoramaKeys) -> Result<Unwrapped, String> {
+    let photo = plan.probe_photos.first().ok_or("its file was not read")?;
+    let (width, height) = (photo.linear.width(), photo.linear.height());
+    let file = photo.path.display();
+    let radiance = as_radiance(photo);
+    // Same lat-long axes: taken as it is, without resampling.
+    let mut panorama = match keys.mapping {
+        PanoramaMapping::LatLong => {
+            if width != 2 * height {
+                return Err(format!(
+                    "{file}: {width} × {height} px is no lat-long, its width is twice its height; \
+                     if it is an angular map or a cube cross, say mapping = \"angular\" or \"cube\""
+                ));
+            }
+            Panorama {
+                variance: radiance.variance,
+                validity: radiance.validity,
+                ..Panorama::from_radiance(radiance.mean)
+            }
+        }
+        PanoramaMapping::Angular => {
+            if width != height {
+                return Err(format!("{file}: {width} × {height} px; an angular map is square"));
+            }
+            let out = (2 * width).clamp(16, 4096) & !1;
+            to_lat_long(&radiance, &Angular { size: width }, DMat3::IDENTITY, out)
+        }
+        PanoramaMapping::Cube => {
+            let face = width / 3;
+            if face == 0 || width != 3 * face || height != 4 * face {
+                return Err(format!(
+                    "{file}: {width} × {height} px; a cube is a vertical cross, 3 × 4 faces"
+                ));
+            }
+            let out = (4 * face).clamp(16, 4096) & !1;
+            to_lat_long(&radiance, &CubeCross { face }, DMat3::IDENTITY, out)
+        }
+    };
+    panorama.world_from_panorama = place::rotation(keys.rotation) * DQuat::IDENTITY;
+    panorama.place = keys.at.into();
+    let report = ProbeReport { source: format!("panorama {file}"), ..ProbeReport::default() };
+    let warnings = Vec::new();
+    Ok(Unwrapped { panorama, ball: None, report, warnings })
+}
+
+/// The probe's photographs as one picture of radiance.
+fn merged(plan: &Plan) -> Result<(Radiance, Vec<Warning>), String> {
+    if let [photo] = plan.probe_photos.as_slice()
+        && plan.exposures.values == [1.0]
+    {
+        return Ok((as_radiance(photo), Vec::new()));
+    }
+    let frames: Vec<bracket::Frame> = plan
+        .probe_photos
+        .iter()
+        .zip(&plan.exposures.values)
+        .map(|(photo, &exposure)| bracket::Frame { photo, exposure })
+        .collect();
+    let merged = bracket::merge(&frames, &bracket::MergeOptions::default())
+        .map_err(|error| error.to_string())?;
+    let warnings = merged
+        .warnings
+        .iter()
+        .map(|warning| Warning::new("probe bracket", warning.to_string(), "the pixels named"))
+        .collect();
+    Ok((merged.radiance, warnings))
+}
+
+/// A picture that already holds radiance; its noise is not known and counts as none.
+fn as_radiance(photo: &Photo) -> Radiance {
+    Radiance {
+        mean: photo.linear.map(|l| l.max(Rgb::ZERO)),
+        variance: photo.linear.map(|_| Rgb::ZERO),
+        validity: photo
+            .clipped
+            .map(|&clipped| if clipped { Validity::LowerBound } else { Validity::Measured }),
+    }
+}
+
+/// Everything of the scene that the judgement of clipped lights needs.
+pub struct Surroundings<'a> {
+    pub plan: &'a Plan,
+    pub camera: &'a Camera,
+    pub scene: &'a Scene,
+}
+
+/// Brings the panorama to the plate's scale, judges clipped lights, and splits off suns.
+///
+/// # Errors
+/// A sentence with key and remedy: clipped lights that nobody accepted, or that cannot be recovered.
+pub fn light(
+    unwrapped: Unwrapped,
+    around: &Surroundings,
+) -> Result<(Light, ProbeReport, LightsReport), String> {
+    let Unwrapped { panorama, ball, mut report, mut warnings } = unwrapped;
+    let plan = around.plan;
+    let Scale { factor, source } = &plan.scale;
+    let mut panorama = panorama.scaled(*factor as f32);
+    let sigma_irradiance = sigma_irradiance(&panorama);
+    report.exposures = plan.exposures.values.clone();
+    report.exposure_source = plan.exposures.source.to_owned();
+    report.plate_exposure = *factor;
+    report.plate_exposure_source = source.clone();
+    report.seen_share = seen_share(&panorama);
+
+    let suns = judge_clipped(&mut panorama, around, &mut report, &mut warnings)?;
+    let options = LightOptions {
+        suns: match plan.shot.probe.suns {
+            Suns::Auto => SunSplit::Auto,
+            Suns::Never => SunSplit::Never,
+            Suns::Always => SunSplit::Always,
+        },
+        ..LightOptions::default()
+    };
+    let found = Lights::new(&panorama, &options)
+        .map_err(|error| format!("{}: probe: {error}", plan.shot.path.display()))?;
+    let sigma_sun = suns.iter().map(|(_, sigma)| *sigma).reduce(f64::max);
+    let all_suns = found.suns.iter().copied().chain(suns.into_iter().map(|(disc, _)| disc));
+    let lights = Lights::from_parts(found.environment.clone(), all_suns.collect());
+
+    let lights_report = LightsReport {
+        irradiance_up: lights.irradiance(glam::Vec3::Y).as_dvec3().to_array(),
+        suns: lights.suns.iter().map(sun_report).collect(),
+    };
+    let has_reflectance = ball.is_some();
+    let light =
+        Light { panorama, lights, ball, sigma_irradiance, sigma_sun, has_reflectance, warnings };
+    Ok((light, report, lights_report))
+}
+
+/// Errs on, accepts or recovers clipped lights; returns recovered suns with their relative σ.
+fn judge_clipped(
+    panorama: &mut Panorama,
+    around: &Surroundings,
+    report: &mut ProbeReport,
+    warnings: &mut Vec<Warning>,
+) -> Result<Vec<(Disc, f64)>, String> {
+    let total = f64::from(luminance(panorama.mean())) * 4.0 * PI;
+    let share =
+        |region: &ClippedRegion| f64::from(luminance(region.lower_bound)) / total.max(1e-30);
+    let regions = clipped_regions(panorama);
+    let (matter, small): (Vec<_>, Vec<_>) =
+        regions.into_iter().partition(|region| share(region) >= NEGLIGIBLE_SHARE);
+    if !small.is_empty() {
+        let sum: f64 = small.iter().map(share).sum();
+        warnings.push(Warning::new(
+            "probe",
+            format!(
+                "{} small lights are clipped in every exposure and taken as they are",
+                small.len()
+            ),
+            format!("at least {:.2} % of the light", 100.0 * sum),
+        ));
+    }
+    if matter.is_empty() {
+        return Ok(Vec::new());
+    }
+    let shot = around.plan.shot.path.display();
+    match around.plan.shot.probe.clipped {
+        Clipped::Error => {
+            let list: Vec<String> = matter.iter().map(ToString::to_string).collect();
+            Err(format!(
+                "{shot}: probe.clipped: {} lights are clipped in every exposure: {}; add a shorter \
+                 exposure, or set probe.clipped = \"recover\" (from the plate's own shadows and lit \
+                 surfaces) or \"accept\"",
+                matter.len(),
+                list.join("; ")
+            ))
+        }
+        Clipped::Accept => {
+            let sum: f64 = matter.iter().map(share).sum();
+            for region in &matter {
+                report.clipped.push(clipped_report(region, "accepted as a lower bound"));
+            }
+            warnings.push(Warning::new(
+                "probe.clipped",
+                format!("{} clipped lights are accepted as they are: shadows and highlights are too weak", matter.len()),
+                format!("at least {:.1} % of the light, upper bound unknown", 100.0 * sum),
+            ));
+            Ok(Vec::new())
+        }
+        Clipped::Recover => recover(panorama, &matter, around, report, warnings)
+            .map_err(|error| format!("{shot}: probe.clipped: {error}")),
+    }
+}
+
+/// Recovers the brightest clipped light as a sun; the others are accepted.
+fn recover(
+    panorama: &mut Panorama,
+    regions: &[ClippedRegion],
+    around: &Surroundings,
+    report: &mut ProbeReport,
+    warnings: &mut Vec<Warning>,
+) -> Result<Vec<(Disc, f64)>, String> {
+    let Some((sun, others)) = regions.split_first() else { return Ok(Vec::new()) };
+    let half_width = 0.5 * sun.width_deg().to_radians();
+    // Half as much again: blooming and the resampler spread a clipped disc over its neighbours.
+    clipped::take_out(panorama, sun.direction, 1.5 * half_width);
+    let meshes: Vec<_> = around.scene.local.iter().map(|local| &local.mesh).collect();
+    let local = Accel::build(&meshes);
+    let stage = Stage {
+        plate: &around.plan.plate.linear,
+        clipped: &around.plan.plate.clipped,
+        camera: around.camera,
+        panorama,
+        scene: around.scene,
+        local: &local,
+        support_albedo: support_albedo(around.plan),
+    };
+    let recovered =
+        clipped::recover(&stage, sun.direction, &[]).map_err(|error| error.to_string())?;
+    let irradiance = recovered.irradiance_normal;
+    let treatment = format!(
+        "recovered as a sun from the plate, irradiance {:.3}, {:.3}, {:.3} ± {:.0} % ({} pieces of evidence)",
+        irradiance.x,
+        irradiance.y,
+        irradiance.z,
+        100.0 * recovered.sigma,
+        recovered.evidence.len()
+    );
+    report.clipped.push(clipped_report(sun, &treatment));
+    for other in others {
+        report.clipped.push(clipped_report(other, "accepted as a lower bound"));
+    }
+    if !others.is_empty() {
+        warnings.push(Warning::new(
+            "probe.clipped",
+            format!("{} clipped lights beside the sun are accepted as they are", others.len()),
+            "a lower bound; see the probe's list of clipped lights",
+        ));
+    }
+    let disc = Disc::from_irradiance(
+        recovered.direction.as_vec3(),
+        recovered.half_angle_rad as f32,
+        irradiance.as_vec3(),
+    );
+    Ok(vec![(disc, recovered.sigma)])
+}
+
+/// An albedo somebody gave, taken as good to 10 %.
+fn support_albedo(plan: &Plan) -> Option<(Rgb, f64)> {
+    match plan.shot.support.albedo {
+        super::file::Albedo::Constant(rgb) => Some((DVec3::from(rgb).as_vec3(), 0.1)),
+        super::file::Albedo::Plate | super::file::Albedo::Mesh => None,
+    }
+}
+
+fn clipped_report(region: &ClippedRegion, treatment: &str) -> ClippedReport {
+    let (azimuth_deg, elevation_deg) = azimuth_elevation(region.direction);
+    ClippedReport {
+        direction: region.direction.to_array(),
+        azimuth_deg,
+        elevation_deg,
+        solid_angle_sr: region.solid_angle,
+        treatment: treatment.to_owned(),
+    }
+}
+
+fn sun_report(disc: &Disc) -> SunReport {
+    let direction = disc.direction.as_dvec3();
+    let (azimuth_deg, elevation_deg) = azimuth_elevation(direction);
+    SunReport {
+        direction: direction.to_array(),
+        azimuth_deg,
+        elevation_deg,
+        half_angle_deg: f64::from(disc.half_angle).to_degrees(),
+        irradiance: disc.irradiance(disc.direction).as_dvec3().to_array(),
+    }
+}
+
+/// Share of the sphere that the probe really saw.
+fn seen_share(panorama: &Panorama) -> f64 {
+    let rows = (0..panorama.height()).map(|y| {
+        let row: f64 = panorama.coverage.row(y).iter().map(|&c| f64::from(c)).sum();
+        row * panorama.solid_angle(y)
+    });
+    rows.sum::<f64>() / (4.0 * PI)
+}
+
+/// Relative standard error of the irradiance on level ground; `None` if no variance is known.
+fn sigma_irradiance(panorama: &Panorama) -> Option<f64> {
+    let (mut sum, mut variance) = (0.0, 0.0);
+    for y in 0..panorama.height() {
+        let d_omega = panorama.solid_angle(y);
+        for x in 0..panorama.width() {
+            let weight = panorama.direction(x, y).y.max(0.0) * d_omega;
+            sum += weight * f64::from(luminance(panorama.radiance[(x, y)]));
+            variance += weight * weight * f64::from(luminance(panorama.variance[(x, y)]));
+        }
+    }
+    (variance > 0.0 && sum > 0.0).then(|| variance.sqrt() / sum)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn keys(mapping: FisheyeMapping, fov_deg: f64) -> Fisheye {
+        Fisheye {
+            photos: "f.exr".into(),
+            exposures: Vec::new(),
+            mapping,
+            fov_deg,
+            circle_px: None,
+            rotation: [0.0; 3],
+            at: [0.0; 3],
+        }
+    }
+
+    #[test]
+    fn fisheye_lenses_put_angles_where_their_formula_says() {
+        for theta in [0.1f64, 0.7, 1.3, 1.55] {
+            let direction = DVec3::new(theta.sin(), 0.0, -theta.cos());
+            let lens = fisheye_lens(&keys(FisheyeMapping::Equidistant, 180.0), [99.5, 99.5, 100.0]);
+            let r = lens.project(direction).unwrap().x - 99.5;
+            assert!((r - 100.0 * theta / (0.5 * PI)).abs() < 1e-9);
+            let lens = fisheye_lens(&keys(FisheyeMapping::Equisolid, 180.0), [99.5, 99.5, 100.0]);
+            let r = lens.project(direction).unwrap().x - 99.5;
+            let expected = 100.0 * (0.5 * theta).sin() / (0.25 * PI).sin();
+            assert!((r - expected).abs() < 1e-5, "{theta}: {r} {expected}");
+        }
+    }
+
+    #[test]
+    fn irradiance_sigma_of_constant_noise_is_small_and_known() {
+        let mut panorama = Panorama::from_radiance(Image::filled(64, 32, Rgb::ONE));
+        assert_eq!(sigma_irradiance(&panorama), None);
+        panorama.variance = Image::filled(64, 32, Rgb::splat(0.01));
+        // E = π; variance = 0.01 Σ (cosθ dω)², closed form over the hemisphere with equal texels.
+        let sigma = sigma_irradiance(&panorama).unwrap();
+        let mut expected = 0.0;
+        for y in 0..16 {
+            for x in 0..64 {
+                let w = panorama.direction(x, y).y * panorama.solid_angle(y);
+                expected += 0.01 * w * w;
+            }
+        }
+        assert!((sigma - expected.sqrt() / PI).abs() < 0.01 * sigma, "{sigma}");
+    }
+}

@@ -1,0 +1,95 @@
+//! The overlays of a shot: what was found, over the photographs it was found in.
+
+use glam::DVec3;
+
+use super::place;
+use super::plan::Plan;
+use super::prepare::Prepared;
+use crate::conventions::Rgb;
+use crate::photo::{Image, Photo};
+use crate::report::{Canvas, overlay};
+
+/// One overlay, ready to be written as `name.png`.
+pub struct Overlay {
+    pub name: &'static str,
+    pub title: &'static str,
+    pub caption: &'static str,
+    pub canvas: Canvas,
+}
+
+/// All overlays that the shot has photographs for.
+pub fn draw(plan: &Plan, prepared: &Prepared) -> Vec<Overlay> {
+    let mut overlays = vec![support(plan, prepared)];
+    overlays.extend(ball(plan, prepared));
+    overlays.push(panorama(prepared));
+    overlays
+}
+
+fn support(plan: &Plan, prepared: &Prepared) -> Overlay {
+    let mut canvas = Canvas::new(&plan.plate.linear);
+    let camera = &prepared.camera;
+    let foot = place::foot(plan);
+    // One step of the axes is about a fifth of the distance: well seen at any scale.
+    let distance = camera.pose.position().distance(foot);
+    let step = 10f64.powf((0.2 * distance).log10().round());
+    if let Some(ground) = place::ground(plan) {
+        overlay::support(&mut canvas, camera, &ground, foot, step);
+    }
+    overlay::horizon(&mut canvas, camera);
+    let strongest = prepared.light.lights.suns.iter().max_by(|a, b| a.flux().total_cmp(&b.flux()));
+    if let Some(sun) = strongest {
+        let toward: DVec3 = sun.direction.as_dvec3();
+        overlay::shadow_direction(&mut canvas, camera, foot, step, toward);
+    }
+    Overlay {
+        name: "overlay_support",
+        title: "Support, axes and shadow over the plate",
+        caption: "White: the modelled support. Red, green, blue: the world's X, Y, Z. Yellow: the \
+                  horizon, and the shadow of an upright stick in the strongest small light; compare \
+                  it with real shadows.",
+        canvas,
+    }
+}
+
+fn ball(plan: &Plan, prepared: &Prepared) -> Option<Overlay> {
+    let (camera, rim) = prepared.light.ball.as_ref()?;
+    // The middle exposure shows the rim best.
+    let photo = plan.probe_photos.get(plan.probe_photos.len() / 2)?;
+    let mut canvas = Canvas::new(&bright(photo));
+    overlay::rim(&mut canvas, camera, rim.axis, rim.half_angle_rad);
+    Some(Overlay {
+        name: "overlay_ball",
+        title: "Rim of the mirror ball",
+        caption: "Yellow: the rim as fitted. It should follow the ball's outline all round.",
+        canvas,
+    })
+}
+
+fn panorama(prepared: &Prepared) -> Overlay {
+    let panorama = &prepared.light.panorama;
+    let width = panorama.width().min(1024);
+    let step = (panorama.width() / width).max(1);
+    let small = Image::from_fn(width, panorama.height() / step, |x, y| {
+        panorama.radiance[(x * step, y * step)]
+    });
+    Overlay {
+        name: "overlay_panorama",
+        title: "The panorama, in the plate's exposure",
+        caption: "Lat-long, seen from inside: +Z in the middle, +X a quarter from the left, up is up. \
+                  Lights taken out and sampled on their own are filled from their surroundings.",
+        canvas: Canvas::new(&small),
+    }
+}
+
+/// The photograph, lifted so that its bright part is near white.
+fn bright(photo: &Photo) -> Image<Rgb> {
+    let mut values: Vec<f32> =
+        photo.linear.pixels().iter().map(|l| l.max_element()).filter(|v| v.is_finite()).collect();
+    if values.is_empty() {
+        return photo.linear.clone();
+    }
+    let at = values.len() * 95 / 100;
+    let (_, &mut high, _) = values.select_nth_unstable_by(at, f32::total_cmp);
+    let gain = if high > 0.0 { 0.8 / high } else { 1.0 };
+    photo.linear.map(|l| *l * gain)
+}

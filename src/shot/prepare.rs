@@ -1,0 +1,214 @@
+//! From a plan to everything the renderer needs: lens, pose, light, scene.
+//!
+//! [`Plan`] → [`Prepared`]. Problems that do not hang on each other are found together.
+
+use glam::DVec3;
+
+use super::calibrate::{FoundLens, find_lens};
+use super::camera_keys::{Board, CameraKeys, CameraSource};
+use super::light::{self, Light, Surroundings};
+use super::locate::{FoundPose, find_pose};
+use super::near_field;
+use super::place;
+use super::plan::Plan;
+use super::probe_keys::{Ball, ProbeSource};
+use super::watch::{Stopwatch, Watch};
+use crate::camera::{Camera, Distortion};
+use crate::render::Method;
+use crate::report::{CameraReport, LightsReport, PoseReport, ProbeReport, Warning};
+use crate::scene::Scene;
+
+/// What a shot is rendered from, and how well it is known.
+pub struct Prepared {
+    pub camera: Camera,
+    pub camera_report: CameraReport,
+    pub pose_report: PoseReport,
+    pub probe_report: ProbeReport,
+    pub lights_report: LightsReport,
+    pub light: Light,
+    pub scene: Scene,
+    pub method: Method,
+    pub warnings: Vec<Warning>,
+    /// Bound of the relative error from treating near light as distant, if the shot tells of any.
+    pub near_field_error: Option<f64>,
+}
+
+/// Calibrates, locates, unwraps and builds the scene.
+///
+/// # Errors
+/// Every problem found, each with file, key and remedy.
+pub fn prepare(
+    plan: &Plan,
+    stopwatch: &mut Stopwatch,
+    watch: &dyn Watch,
+) -> Result<Prepared, Vec<String>> {
+    let shot = &plan.shot;
+    let method = method(plan).map_err(|problem| vec![problem])?;
+
+    stopwatch.begin("calibrate the lens", watch);
+    let in_file = |error: String| format!("{}: {error}", shot.path.display());
+    let found_lens = find_lens(&shot.camera.source, &plan.plate)
+        .map_err(|error| vec![in_file(format!("camera: {error}"))])?;
+
+    stopwatch.begin("find the camera's place", watch);
+    let size = [found_lens.width, found_lens.height];
+    let found_pose = find_pose(&shot.pose, &found_lens.lens, size, own_board(&shot.camera))
+        .map_err(|error| in_file(format!("pose: {error}")));
+    let ball_camera = match &shot.probe.source {
+        ProbeSource::Ball(ball) => ball_camera(plan, ball, &found_lens, found_pose.as_ref().ok())
+            .map_err(|error| in_file(format!("probe.ball: {error}"))),
+        ProbeSource::Fisheye(_) | ProbeSource::Panorama(_) => Ok(None),
+    };
+
+    stopwatch.begin("unwrap the probe", watch);
+    let unwrapped = ball_camera.and_then(|camera| light::unwrap(plan, camera));
+    let (found_pose, unwrapped) = match (found_pose, unwrapped) {
+        (Ok(pose), Ok(unwrapped)) => (pose, unwrapped),
+        (pose, unwrapped) => {
+            return Err([pose.err(), unwrapped.err()].into_iter().flatten().collect());
+        }
+    };
+
+    stopwatch.begin("build scene and lights", watch);
+    let camera = plate_camera(plan, &found_lens, &found_pose);
+    let scene = place::scene(plan);
+    let around = Surroundings { plan, camera: &camera, scene: &scene };
+    let (light, probe_report, lights_report) =
+        light::light(unwrapped, &around).map_err(|problem| vec![problem])?;
+
+    let mut warnings = plan.warnings.clone();
+    warnings.extend(found_lens.warnings);
+    warnings.extend(found_pose.warnings.iter().cloned());
+    warnings.extend(light.warnings.iter().cloned());
+    let reach = reach(plan, light.panorama.place);
+    let near =
+        near_field::warnings(shot.surroundings.as_ref(), &shot.lamps, light.panorama.place, reach);
+    let near_field_error = near_field::largest_error(
+        shot.surroundings.as_ref(),
+        &shot.lamps,
+        light.panorama.place,
+        reach,
+    );
+    warnings.extend(near);
+    let slip_px = slip_px(plan, &found_pose, &camera);
+    let pose_report = PoseReport { slip_px, ..found_pose.report };
+    Ok(Prepared {
+        camera,
+        camera_report: found_lens.report,
+        pose_report,
+        probe_report,
+        lights_report,
+        light,
+        scene,
+        method,
+        warnings,
+        near_field_error,
+    })
+}
+
+/// The renderer's methods by their names in the shot file.
+const METHODS: [(&str, Method); 4] = [
+    ("auto", Method::Coupled),
+    ("coupled", Method::Coupled),
+    ("two-pass", Method::TwoPass { same_numbers: true }),
+    ("two-pass-independent", Method::TwoPass { same_numbers: false }),
+];
+
+fn method(plan: &Plan) -> Result<Method, String> {
+    let name = plan.shot.render.method.as_str();
+    let found = METHODS.iter().find(|(known, _)| *known == name).map(|&(_, method)| method);
+    found.ok_or_else(|| {
+        format!(
+            "{}: render.method: \"{name}\" is not one of: {}",
+            plan.shot.path.display(),
+            METHODS.map(|(known, _)| known).join(", ")
+        )
+    })
+}
+
+/// What the shot file calls a method.
+pub fn method_name(method: Method) -> &'static str {
+    let named = METHODS[1..].iter().find(|(_, known)| *known == method);
+    named.map_or("unnamed", |&(name, _)| name)
+}
+
+/// How far off the objects' foot may be seen, from pose and lens.
+fn slip_px(plan: &Plan, pose: &FoundPose, camera: &Camera) -> Option<f64> {
+    let foot = place::foot(plan);
+    let normal = place::support_plane(plan, foot + DVec3::Y * 1e-3).map_or(DVec3::Y, |(_, n)| n);
+    let radius = place::object_box(plan).map_or(0.1, |[min, max]| 0.5 * (max - min).length());
+    pose.slip_px(camera, foot, normal, radius)
+}
+
+/// The board of `[camera]`, if it has one.
+fn own_board(camera: &CameraKeys) -> Option<&Board> {
+    match &camera.source {
+        CameraSource::Boards { board, .. } => Some(board),
+        _ => None,
+    }
+}
+
+/// The plate's camera; without distortion if that was taken out of the plate before.
+fn plate_camera(plan: &Plan, found: &FoundLens, pose: &FoundPose) -> Camera {
+    let mut lens = found.lens.clone();
+    if !plan.shot.camera.plate_shows_lens {
+        lens.distortion = Distortion::None;
+        lens.covariance = None;
+    }
+    Camera { width: found.width, height: found.height, lens, pose: pose.pose.clone() }
+}
+
+/// The camera the ball was photographed with: lens, own place, cut-out.
+fn ball_camera(
+    plan: &Plan,
+    ball: &Ball,
+    plate: &FoundLens,
+    plate_pose: Option<&FoundPose>,
+) -> Result<Option<Camera>, String> {
+    let photo = plan.probe_photos.first().ok_or("photos: none was read")?;
+    let photo_size = [photo.linear.width(), photo.linear.height()];
+    let own;
+    let (lens, board) = match &ball.camera {
+        None => (plate, own_board(&plan.shot.camera)),
+        Some(source) => {
+            own = find_lens(source, photo).map_err(|error| format!("camera: {error}"))?;
+            let board = match source {
+                CameraSource::Boards { board, .. } => Some(board),
+                _ => own_board(&plan.shot.camera),
+            };
+            (&own, board)
+        }
+    };
+    let lens_size = [lens.width, lens.height];
+    let pose = match (&ball.pose, plate_pose) {
+        (Some(source), _) => {
+            let found = find_pose(source, &lens.lens, lens_size, board);
+            found.map_err(|error| format!("pose: {error}"))?.pose
+        }
+        (None, Some(found)) => found.pose.clone(),
+        // The plate's own pose failed and is told already.
+        (None, None) => return Ok(None),
+    };
+    let [width, height] = lens_size;
+    let camera = Camera { width, height, lens: lens.lens.clone(), pose };
+    match ball.crop {
+        Some(crop) => {
+            Ok(Some(camera.cropped(crop.x, crop.y, crop.scale, photo_size[0], photo_size[1])))
+        }
+        None if photo_size == lens_size => Ok(Some(camera)),
+        None => Err(format!(
+            "photos: {}: {} × {} px, but its camera has {width} × {height} px; if the photographs \
+             are a cut-out, say crop = {{ x = …, y = …, scale = … }}",
+            photo.path.display(),
+            photo_size[0],
+            photo_size[1]
+        )),
+    }
+}
+
+/// Largest distance from the probe to a corner of the objects' box, metres; 0 without objects.
+fn reach(plan: &Plan, probe: DVec3) -> f64 {
+    let Some([min, max]) = place::object_box(plan) else { return 0.0 };
+    let far = (probe - min).abs().max((max - probe).abs());
+    far.length()
+}

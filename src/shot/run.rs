@@ -1,0 +1,277 @@
+//! One shot from photographs to the finished picture.
+//!
+//! plan → prepare (lens, pose, light, scene) → render in waves → composite → report. Nothing is
+//! written before rendering begins; the first composite appears after the first wave and is replaced
+//! by the finished one.
+
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use super::existing;
+use super::file::{Albedo, ModeKeys, ShotFile, StopKeys};
+use super::finish::{Finish, finish};
+use super::frames::frame_name;
+use super::plan::Plan;
+use super::prepare::{Prepared, method_name, prepare};
+use super::watch::{Stopwatch, Watch, cpu_seconds};
+use super::write::{self, FileMark, OutFiles};
+use crate::composite::{Mode, compose};
+use crate::photo::{Image, PhotoError};
+use crate::render::{self, Context, Difference, Job, Numbers, RenderError, Stop};
+use crate::report::{RenderReport, Report, ReportError};
+
+/// How to run, beside what the shot file says.
+#[derive(Clone, Debug, Default)]
+pub struct RunOptions {
+    /// Leave a shot alone whose results are complete and from the same inputs.
+    pub skip_existing: bool,
+    /// Goes before `[render]`.
+    pub stop: Option<StopKeys>,
+}
+
+/// A shot or frame that was run.
+#[derive(Debug)]
+pub struct Finished {
+    /// `None` if it was skipped.
+    pub report: Option<Box<Report>>,
+    /// False if it was stopped before the stopping rule was met.
+    pub complete: bool,
+    pub skipped: bool,
+    pub warnings: usize,
+}
+
+/// Why a shot was not finished.
+#[derive(Debug, thiserror::Error)]
+pub enum RunError {
+    /// What was found wrong before rendering, together.
+    #[error("{}", .0.join("\n"))]
+    Problems(Vec<String>),
+    #[error(transparent)]
+    Picture(#[from] PhotoError),
+    #[error(transparent)]
+    Report(#[from] ReportError),
+    #[error("{}: {cause}; choose another folder with --out", folder.display())]
+    Folder { folder: PathBuf, cause: std::io::Error },
+    #[error(transparent)]
+    Render(#[from] RenderError),
+    #[error("stopped before anything was rendered")]
+    Interrupted,
+}
+
+impl RunError {
+    /// One sentence for each problem.
+    pub fn problems(self) -> Vec<String> {
+        match self {
+            Self::Problems(problems) => problems,
+            other => vec![other.to_string()],
+        }
+    }
+}
+
+/// Runs a shot, or every frame of a sequence; one result for each.
+pub fn run_frames(
+    shot: &ShotFile,
+    out: &Path,
+    options: &RunOptions,
+    context: &Context,
+    watch: &dyn Watch,
+) -> Vec<Result<Finished, RunError>> {
+    let Some(frames) = &shot.plate.frames else {
+        return vec![run_one(shot.clone(), &OutFiles::new(out, None), options, context, watch)];
+    };
+    let pattern = shot.plate.file.to_string_lossy();
+    let mut results = Vec::new();
+    for frame in frames.iter() {
+        if context.is_cancelled() {
+            break;
+        }
+        let mut single = shot.clone();
+        single.plate.file = frame_name(&pattern, frame).into();
+        // Another seed each frame: a fixed pattern would stand still while the picture moves.
+        let seeded = context.with_seed(context.seed ^ (frame as u64).wrapping_mul(0x9e37_79b9));
+        let files = OutFiles::new(out, Some(frame));
+        results.push(run_one(single, &files, options, &seeded, watch));
+    }
+    results
+}
+
+/// Runs a shot; for a sequence the first failure is the result.
+pub fn run(
+    shot: &ShotFile,
+    out: &Path,
+    options: &RunOptions,
+    context: &Context,
+    watch: &dyn Watch,
+) -> Result<Finished, RunError> {
+    let mut all = Finished { report: None, complete: true, skipped: true, warnings: 0 };
+    for finished in run_frames(shot, out, options, context, watch) {
+        let finished = finished?;
+        all.complete &= finished.complete;
+        all.skipped &= finished.skipped;
+        all.warnings += finished.warnings;
+        all.report = finished.report.or(all.report);
+    }
+    Ok(all)
+}
+
+fn run_one(
+    mut shot: ShotFile,
+    files: &OutFiles,
+    options: &RunOptions,
+    context: &Context,
+    watch: &dyn Watch,
+) -> Result<Finished, RunError> {
+    if let Some(stop) = options.stop {
+        shot.render.stop = stop;
+    }
+    let settings = serde_json::to_value(&shot).unwrap_or_default();
+    let mut stopwatch = Stopwatch::new();
+    stopwatch.begin("read the shot", watch);
+    let plan = Plan::make(shot).map_err(RunError::Problems)?;
+    let inputs: Vec<FileMark> = plan.inputs.iter().filter_map(|path| FileMark::of(path)).collect();
+    let report_path = files.path("report", "json");
+    if options.skip_existing
+        && existing::is_complete(&report_path, &settings, context.seed, &inputs)
+    {
+        return Ok(Finished { report: None, complete: true, skipped: true, warnings: 0 });
+    }
+
+    let prepared = prepare(&plan, &mut stopwatch, watch).map_err(RunError::Problems)?;
+    for warning in &prepared.warnings {
+        watch.warning(warning);
+    }
+    if context.is_cancelled() {
+        return Err(RunError::Interrupted);
+    }
+
+    stopwatch.begin("render", watch);
+    let folder = &files.folder;
+    std::fs::create_dir_all(folder)
+        .map_err(|cause| RunError::Folder { folder: folder.clone(), cause })?;
+    let (difference, render) = render_shot(&plan, &prepared, files, context, watch)?;
+
+    stopwatch.begin("composite and report", watch);
+    let done =
+        Finish { plan: &plan, prepared, difference, render, settings, inputs, seed: context.seed };
+    let report = finish(done, files, stopwatch, watch)?;
+    Ok(Finished {
+        complete: report.render.complete,
+        skipped: false,
+        warnings: report.warnings.len(),
+        report: Some(Box::new(report)),
+    })
+}
+
+/// Renders until the stopping rule is met; the first wave's picture is written at once.
+fn render_shot(
+    plan: &Plan,
+    prepared: &Prepared,
+    files: &OutFiles,
+    context: &Context,
+    watch: &dyn Watch,
+) -> Result<(Difference, RenderReport), RunError> {
+    let (wall, cpu) = (Instant::now(), cpu_seconds());
+    let stop = match plan.shot.render.stop {
+        StopKeys::Error(error) => Stop::Error(error),
+        StopKeys::Time(seconds) => Stop::TimeSeconds(seconds),
+        StopKeys::Samples(samples) => Stop::Samples(samples),
+    };
+    let mut report = RenderReport {
+        method: method_name(prepared.method).to_owned(),
+        stop: stop_name(plan.shot.render.stop),
+        complete: true,
+        ..RenderReport::default()
+    };
+    if plan.objects.is_empty() {
+        let (width, height) = (plan.plate.linear.width(), plan.plate.linear.height());
+        return Ok((nothing(width, height), report));
+    }
+    let job = Job {
+        scene: &prepared.scene,
+        lights: &prepared.light.lights,
+        camera: &prepared.camera,
+        plate: &plan.plate.linear,
+        stop,
+        numbers: Numbers::default(),
+    };
+    let mut integrator = render::integrator(prepared.method, job)?;
+    let mode = mode(plan).0;
+    loop {
+        let wave = integrator.next_wave(context);
+        report.samples += wave.samples;
+        report.waves += 1;
+        report.error = wave.error;
+        watch.progress(wave.done, wave.error);
+        if wave.finished || context.is_cancelled() {
+            report.complete = wave.finished;
+            break;
+        }
+        if report.waves == 1 {
+            write_first_picture(plan, &integrator.snapshot(), mode, files, watch)?;
+        }
+    }
+    report.seconds = wall.elapsed().as_secs_f64();
+    report.cpu_seconds = cpu_seconds().zip(cpu).map(|(now, start)| now - start);
+    Ok((integrator.snapshot(), report))
+}
+
+/// A picture to look at while the rest is rendered.
+fn write_first_picture(
+    plan: &Plan,
+    difference: &Difference,
+    mode: Mode,
+    files: &OutFiles,
+    watch: &dyn Watch,
+) -> Result<(), RunError> {
+    let composite = compose(&plan.plate, difference, mode).map_err(wrong_size)?;
+    let encoded = write::encoded(&plan.plate, &composite, difference);
+    let path = files.path("composite", "png");
+    write::composite_png(&path, &plan.plate, &composite, &encoded)?;
+    watch.written(&path);
+    Ok(())
+}
+
+/// The mode of the composite and why it was taken.
+pub fn mode(plan: &Plan) -> (Mode, &'static str) {
+    match (plan.shot.composite.mode, plan.shot.support.albedo) {
+        (ModeKeys::Additive, _) => (Mode::Additive, "asked for"),
+        (ModeKeys::Ratio, _) => (Mode::Ratio, "asked for"),
+        (ModeKeys::Auto, Albedo::Plate) => (
+            Mode::Ratio,
+            "the support's colour comes from the plate, so its own texture is dimmed or lit; \
+             additive where there is no diffuse surface to divide by",
+        ),
+        (ModeKeys::Auto, Albedo::Mesh | Albedo::Constant(_)) => {
+            (Mode::Additive, "the support's albedo was given, and its light is added as such")
+        }
+    }
+}
+
+/// The renderer works at the plate's size; another one is a defect of the program.
+pub fn wrong_size(error: crate::composite::CompositeError) -> RunError {
+    RunError::Problems(vec![error.to_string()])
+}
+
+fn stop_name(stop: StopKeys) -> String {
+    match stop {
+        StopKeys::Error(error) => format!("error {} %", 100.0 * error),
+        StopKeys::Time(seconds) => format!("{seconds} s"),
+        StopKeys::Samples(samples) => format!("{samples} samples a pixel"),
+    }
+}
+
+/// The difference that no object makes.
+fn nothing(width: usize, height: usize) -> Difference {
+    let black = Image::filled(width, height, crate::conventions::Rgb::ZERO);
+    Difference {
+        coverage: Image::filled(width, height, 0.0),
+        object: black.clone(),
+        difference: black.clone(),
+        ratio: black.clone(),
+        stderr: black.clone(),
+        albedo: black.clone(),
+        depth: Image::filled(width, height, f32::INFINITY),
+        normal: black,
+        samples: Image::filled(width, height, 0),
+    }
+}
