@@ -19,6 +19,15 @@ pub mod two_pass;
 pub mod waves;
 pub mod world;
 
+#[cfg(test)]
+mod agreement_tests;
+#[cfg(test)]
+mod closed_form_tests;
+#[cfg(test)]
+mod exactness_tests;
+#[cfg(test)]
+mod test_scenes;
+
 pub use job::{Job, Method, RenderError, integrator};
 pub use sampler::Numbers;
 

@@ -1,0 +1,135 @@
+//! Two independent estimators must agree: the coupled one against the plain two-pass path tracer.
+//!
+//! Per pixel z = (coupled − two-pass) / √(σ₁² + σ₂²) from replicates. With R replicates each, z
+//! follows about t with 2R − 2 degrees of freedom; the largest |z| over all pixels and channels is
+//! compared with a bound at a family-wise level of 1 % (Šidák), the mean z with its own.
+
+use glam::Vec3;
+
+use super::test_scenes::*;
+use super::{Difference, Method};
+use crate::camera::Camera;
+use crate::conventions::Rgb;
+use crate::light::Lights;
+use crate::photo::Image;
+use crate::scene::{AlbedoSource, Material, Scene};
+
+const TWO_PASS: Method = Method::TwoPass { same_numbers: true };
+const WIDTH: usize = 24;
+const HEIGHT: usize = 18;
+
+/// z per pixel block of 3 × 3: blocks make the errors of heavy-tailed pixels more normal.
+fn scores(a: &Difference, b: &Difference) -> Vec<f64> {
+    let value = |d: &Difference, x: usize, y: usize| d.object[(x, y)] + d.difference[(x, y)];
+    let mut scores = Vec::new();
+    for y in (0..HEIGHT).step_by(3) {
+        for x in (0..WIDTH).step_by(3) {
+            let (mut difference, mut variance) = (0.0, 0.0);
+            for (i, j) in (0..9).map(|k| (x + k % 3, y + k / 3)) {
+                difference += f64::from((value(a, i, j) - value(b, i, j)).y);
+                variance += f64::from(a.stderr[(i, j)].y).powi(2);
+                variance += f64::from(b.stderr[(i, j)].y).powi(2);
+            }
+            // Far from the objects the two-pass method meets them in a few samples of a thousand, or
+            // none: what it then calls its error means nothing. Below 0.02 % of the plate's
+            // brightness (0.5) nothing is compared.
+            if difference.abs() < 9.0 * 1e-4 {
+                continue;
+            }
+            if variance > 0.0 {
+                scores.push(difference / variance.sqrt());
+            } else {
+                assert_eq!(difference, 0.0, "({x}, {y}) differs without any error");
+            }
+        }
+    }
+    scores
+}
+
+fn assert_agreement(
+    name: &str,
+    scene: &Scene,
+    lights: &Lights,
+    camera: &Camera,
+    plate: &Image<Rgb>,
+) {
+    let coupled = render(scene, lights, camera, plate, Method::Coupled, 256, 21);
+    let two_pass = render(scene, lights, camera, plate, TWO_PASS, 1024, 22);
+    let z = scores(&coupled, &two_pass);
+    let worst = z.iter().fold(0.0_f64, |m, z| m.max(z.abs()));
+    let mean = z.iter().sum::<f64>() / z.len() as f64;
+    // 48 blocks at 1 % together: 0.02 % each, |z| < 3.7 for normal errors; pooled t of 9 · 14
+    // degrees of freedom 3.8, and room for skewness.
+    assert!(worst < 4.3, "{name}: worst z {worst}, mean {mean}");
+    // Mean of n scores: 1/√n, at 0.1 %.
+    assert!(mean.abs() < 3.3 / (z.len() as f64).sqrt(), "{name}: mean z {mean} of {}", z.len());
+    assert!(coupled.coverage.pixels().iter().any(|&c| c > 0.0), "{name}: the object is in view");
+}
+
+/// A plate that shows a ground of albedo `rho` as these lights light it.
+fn plate_of_ground(lights: &Lights, rho: f32) -> Image<Rgb> {
+    let radiance = lights.irradiance(Vec3::Y) * rho * std::f32::consts::FRAC_1_PI;
+    Image::filled(WIDTH, HEIGHT, radiance)
+}
+
+fn on_ground(name: &str, lights: &Lights, material: Material) {
+    let rho = 0.5;
+    let objects = vec![sphere(Vec3::new(0.0, 0.3, 0.0), 0.3, 4)];
+    let grey = AlbedoSource::Constant(Rgb::splat(rho));
+    let scene = scene(objects, material, vec![local(ground(3.0), grey)]);
+    let camera = corner_camera(WIDTH, HEIGHT, 2.5);
+    assert_agreement(name, &scene, lights, &camera, &plate_of_ground(lights, rho));
+}
+
+#[test]
+fn estimators_agree_on_a_matt_ball_under_a_uniform_sky() {
+    on_ground("uniform sky", &uniform_sky(1.0), matt(0.7));
+}
+
+#[test]
+fn estimators_agree_on_a_matt_ball_in_the_sun() {
+    on_ground("sun", &sunny_sky(40.0, 3.0), matt(0.7));
+}
+
+#[test]
+fn estimators_agree_on_rough_metal_and_glossy_plastic() {
+    let metal = Material { metallic: 1.0, roughness: 0.6, ..matt(0.8) };
+    on_ground("metal", &sunny_sky(50.0, 1.0), metal);
+    let plastic = Material { specular: 1.0, roughness: 0.4, ..matt(0.6) };
+    on_ground("plastic", &sunny_sky(50.0, 1.0), plastic);
+}
+
+#[test]
+fn estimators_agree_on_a_glass_ball() {
+    let glass = Material {
+        transmission: 1.0,
+        solid: true,
+        roughness: 0.0,
+        specular: 1.0,
+        attenuation_colour: Rgb::new(0.9, 0.5, 0.7),
+        attenuation_distance: 0.5,
+        ..matt(1.0)
+    };
+    on_ground("glass", &uniform_sky(1.0), glass);
+}
+
+#[test]
+fn estimators_agree_in_a_concave_place_with_a_prop() {
+    let lights = sunny_sky(35.0, 2.0);
+    let grey = AlbedoSource::Constant(Rgb::splat(0.5));
+    let wall = rectangle(Vec3::new(-1.5, 0.0, -0.5), Vec3::X * 3.0, Vec3::Y * 1.2);
+    let post = rectangle(Vec3::new(0.9, 0.0, -0.2), Vec3::Z * 0.4, Vec3::Y * 0.8);
+    let camera = corner_camera(WIDTH, HEIGHT, 2.5);
+    let local_meshes =
+        || vec![local(ground(1.5), grey), local(wall.clone(), grey), local(post.clone(), grey)];
+
+    // The plate is what the two-pass method itself sees without objects: a matt "object" that is
+    // the place itself would be circular, so the place is rendered as an object over nothing.
+    let place = scene(local_meshes().into_iter().map(|l| l.mesh).collect(), matt(0.5), Vec::new());
+    let dark = Image::filled(WIDTH, HEIGHT, Rgb::ZERO);
+    let plate = render(&place, &lights, &camera, &dark, TWO_PASS, 4096, 1).object;
+
+    let ball = sphere(Vec3::new(0.0, 0.3, 0.0), 0.3, 4);
+    let scene = scene(vec![ball], matt(0.5), local_meshes());
+    assert_agreement("corner", &scene, &lights, &camera, &plate);
+}

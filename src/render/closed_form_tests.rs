@@ -1,0 +1,139 @@
+//! The estimator against closed forms (methods-render R4). All tolerances: 3.5 standard errors of
+//! the mean over 16 pixels (false alarm 0.3 % each by t₁₅) plus 0.3 % for the tessellation.
+
+use glam::Vec3;
+
+use super::Method;
+use super::test_scenes::*;
+use crate::conventions::Rgb;
+use crate::light::Lights;
+use crate::photo::Image;
+use crate::scene::{AlbedoSource, Mesh};
+
+const COUPLED: Method = Method::Coupled;
+
+/// D / L₀ at points on the ground along x, with its standard error.
+fn ratios(objects: Vec<Mesh>, albedo: f32, lights: &Lights, points: &[f32]) -> Vec<(f64, f64)> {
+    let grey = AlbedoSource::Constant(Rgb::ZERO);
+    let scene = scene(objects, matt(albedo), vec![local(ground(20.0), grey)]);
+    let plate = Image::filled(4, 4, Rgb::ZERO);
+    let (cameras, _) = point_camera(points);
+    cameras
+        .iter()
+        .map(|camera| mean_ratio(&render(&scene, lights, camera, &plate, COUPLED, 512, 11)))
+        .collect()
+}
+
+fn assert_near(got: (f64, f64), wanted: f64, what: &str) {
+    let tolerance = 3.5 * got.1 + 0.003 * wanted.abs();
+    assert!((got.0 - wanted).abs() < tolerance, "{what}: {} ± {} for {wanted}", got.0, got.1);
+}
+
+#[test]
+fn a_black_sphere_on_a_plane_takes_its_form_factor_of_a_uniform_sky() {
+    let ball = sphere(Vec3::Y, 1.0, 5);
+    let d = [0.5_f32, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 10.0];
+    let wanted =
+        [-0.715542, -0.353553, -0.170677, -0.089443, -0.031623, -0.014267, -0.004443, -0.000985];
+    // From straight above the ball hides the points inside its outline: look from below is no
+    // better, so points under it are left to the disc.
+    for ((x, got), wanted) in
+        d.iter().zip(ratios(vec![ball], 0.0, &uniform_sky(1.0), &d)).zip(wanted)
+    {
+        if *x > 1.0 {
+            assert_near(got, wanted, &format!("d = {x}"));
+        }
+    }
+}
+
+#[test]
+fn a_floating_or_half_sunk_sphere_takes_its_form_factor() {
+    let d = [1.5_f32, 2.0];
+    // R4.2: (r, h, d) = (1, 0.5, 1.5) and (1, 0, 2); R4.1 with h = 1.5: r²h/(d²+h²)^1.5.
+    let sunk = ratios(vec![sphere(Vec3::Y * 0.5, 1.0, 5)], 0.0, &uniform_sky(1.0), &d);
+    assert_near(sunk[0], -0.141044, "half sunk, d = 1.5");
+    let half = ratios(vec![sphere(Vec3::ZERO, 1.0, 5)], 0.0, &uniform_sky(1.0), &d);
+    assert_near(half[1], -0.028834, "sunk to the middle, d = 2");
+    let high = ratios(vec![sphere(Vec3::Y * 1.5, 1.0, 5)], 0.0, &uniform_sky(1.0), &d);
+    assert_near(high[1], -1.5 / (4.0_f64 + 2.25).powf(1.5), "floating, d = 2");
+}
+
+#[test]
+fn a_wall_takes_its_form_factor() {
+    // R4.3: height 1, half-width 1, distance 1, from the foot of its edge: two such halves.
+    let wall = rectangle(Vec3::new(1.0, 0.0, -1.0), Vec3::Z * 2.0, Vec3::Y);
+    let got = ratios(vec![wall], 0.0, &uniform_sky(1.0), &[0.0]);
+    assert_near(got[0], -2.0 * 0.055734, "wall");
+}
+
+#[test]
+fn an_umbra_loses_the_sun_and_the_blocked_sky() {
+    // A black sphere high above: the sun's disc is covered whole, and the sky by the sphere's form factor.
+    let lights = sunny_sky(60.0, 3.0);
+    let toward = Vec3::new(0.5, 3.0_f32.sqrt() / 2.0, 0.0);
+    let ball = sphere(toward * 10.0, 1.0, 5);
+    let got = ratios(vec![ball], 0.0, &lights, &[0.0])[0];
+    let whole = f64::from(lights.irradiance(Vec3::Y).x);
+    let sun = 3.0 * f64::from(toward.y);
+    // Sky radiance near the ball: rows 5 (30° from the zenith), almost constant over the ball's 5.7°.
+    let mut sky = 0.0;
+    let n = 400;
+    for i in 0..n {
+        for j in 0..n {
+            let sin2 = 0.01 * (f64::from(i) + 0.5) / f64::from(n);
+            let phi = std::f64::consts::TAU * (f64::from(j) + 0.5) / f64::from(n);
+            // Projected onto the plane across the axis the cap is a disc: dω = d(sin²)/2 dφ / cos.
+            let (sin, cos) = (sin2.sqrt(), (1.0 - sin2).sqrt());
+            let (t, b) = toward.any_orthonormal_pair();
+            let d =
+                toward * cos as f32 + (t * phi.cos() as f32 + b * phi.sin() as f32) * sin as f32;
+            let weight = 0.01 / 2.0 * std::f64::consts::TAU / f64::from(n * n) / cos;
+            sky += f64::from(lights.environment.evaluate(d).0.x * d.y.max(0.0)) * weight;
+        }
+    }
+    assert_near(got, -(sun + sky) / whole, "umbra");
+}
+
+#[test]
+fn a_straight_edge_throws_the_penumbra_of_a_disc() {
+    // R4.4: sun elevation 45°, edge at height 1 along z; width along x is 0.01861.
+    let lights = {
+        let sky = crate::light::Environment::constant(Rgb::ZERO);
+        let half = crate::conventions::SUN_HALF_ANGLE_RAD as f32;
+        let toward = Vec3::new(1.0, 1.0, 0.0);
+        let sun = crate::light::Disc::from_irradiance(toward, half, Rgb::ONE);
+        Lights::from_parts(sky, vec![sun])
+    };
+    // A black sheet standing on x = 0, 200 m long, seen edge on by rays from above: the sun at +x
+    // 45° high throws the shadow of its top edge to x = −1.
+    let sheet = rectangle(Vec3::new(0.0, 0.0, -100.0), Vec3::Z * 200.0, Vec3::Y);
+    let width = 0.018_61_f32;
+    let at = |share: f32| -1.0 + share * 0.5 * width;
+    let points = [at(-0.5), at(0.0), at(0.5), at(-1.2), at(1.2)];
+    let got = ratios(vec![sheet], 0.0, &lights, &points);
+    // ½ + (x√(1−x²) + asin x)/π of the sun is seen; toward −x it is whole.
+    for (got, wanted) in got.iter().zip([-0.1955, -0.5, -0.8045, 0.0, -1.0]) {
+        // The two sides of a penumbra differ by tan δ: 0.5 % of its width.
+        assert!((got.0 - wanted).abs() < 3.5 * got.1 + 0.008, "{} ± {} for {wanted}", got.0, got.1);
+    }
+}
+
+#[test]
+fn in_a_white_furnace_nothing_changes() {
+    // R4.7: ρ = 1 everywhere under a sky of 1. Bounces of the plate are clamped at 0.95, so both
+    // albedos are 0.9 here and the objects shine at what a closed furnace gives them.
+    let ball = sphere(Vec3::Y, 1.0, 5);
+    let scene =
+        scene(vec![ball], matt(1.0), vec![local(ground(20.0), AlbedoSource::Constant(Rgb::ONE))]);
+    let plate = Image::filled(4, 4, Rgb::ONE);
+    let (cameras, _) = point_camera(&[2.0, 0.0]);
+    let lights = uniform_sky(1.0);
+    let d = render(&scene, &lights, &cameras[0], &plate, COUPLED, 1024, 5);
+    let (mean, sigma) = mean_ratio(&d);
+    // Paths end at depth 8: at d = 2 that leaves less than 0.2 % of the light.
+    assert!(mean.abs() < 3.5 * sigma + 0.002, "{mean} ± {sigma}");
+    let d = render(&scene, &lights, &cameras[1], &plate, COUPLED, 256, 5);
+    assert!(d.coverage.pixels().iter().all(|&c| c == 1.0));
+    let top: f32 = d.object.pixels().iter().map(|p| p.x).sum::<f32>() / 16.0;
+    assert!((top - 1.0).abs() < 0.01, "{top}");
+}
