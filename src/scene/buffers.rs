@@ -137,7 +137,7 @@ impl<'a> Buffers<'a> {
         })
     }
 
-    /// An accessor of floats or normalised integers with `N` components, for instance positions.
+    /// An accessor of floats or small integers with `N` components, for instance positions.
     pub fn floats<const N: usize>(
         &self,
         accessor: &gltf::Accessor,
@@ -156,8 +156,13 @@ impl<'a> Buffers<'a> {
             (DataType::I16, true) => {
                 |b| (f32::from(i16::from_le_bytes([b[0], b[1]])) / 32767.0).max(-1.0)
             }
-            _ => {
-                let found = format!("{data_type:?}, not floats or normalised integers");
+            // KHR_mesh_quantization: whole numbers, scaled by the node
+            (DataType::U8, false) => |b| f32::from(b[0]),
+            (DataType::I8, false) => |b| f32::from(b[0] as i8),
+            (DataType::U16, false) => |b| f32::from(u16::from_le_bytes([b[0], b[1]])),
+            (DataType::I16, false) => |b| f32::from(i16::from_le_bytes([b[0], b[1]])),
+            (DataType::U32, _) => {
+                let found = format!("{data_type:?}, not floats or small integers");
                 return Err(self.accessor_error(accessor, use_, found));
             }
         };

@@ -3,6 +3,8 @@
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
+use glam::Vec2;
+
 use super::{Model, SceneError, read};
 
 /// The folder of shared test data; `None`, said on stderr, where it is not installed.
@@ -101,6 +103,25 @@ fn good_gltf_files_load_with_their_triangles_and_no_needless_warning() {
             assert!(warning.contains(word), "{name}: {warning}");
         }
     }
+}
+
+#[test]
+fn texture_transforms_turn_the_arrows_of_khronos_test_to_their_marks() {
+    let Some(shared) = shared() else { return };
+    let file = shared.join("data/gltf-good/TextureTransformTest/TextureTransformTest.gltf");
+    let model = read(&file).unwrap();
+    let at = |name: &str, uv: Vec2| {
+        let material = model.materials.iter().find(|m| m.name == name).unwrap();
+        material.evaluate(&model.textures, [uv; 2], glam::Vec4::ONE).base_colour.y
+    };
+    // The stored arrow runs down the diagonal; its mark "correct" is at 67.5° from the upper edge
+    // about the upper left corner, "error" at 22.5°, "not supported" at 45°.
+    let turned = |degrees: f32| 0.5 * Vec2::from_angle(degrees.to_radians());
+    assert!(at("Rotation", turned(67.5)) < 0.05);
+    assert!(at("Rotation", turned(30.0)) > 0.9 && at("Rotation", turned(45.0)) > 0.9);
+    // uv 0.6, 0.6 of the arrow's shaft, taken back through offset −0.2, −0.1, 0.3 rad and 1.5.
+    assert!(at("All", Vec2::new(0.3716, 0.6034)) < 0.05);
+    assert!(at("Scale", Vec2::splat(0.4)) < 0.05 && at("Scale", Vec2::splat(0.6)) > 0.9);
 }
 
 #[test]

@@ -20,12 +20,13 @@ use super::gltf_material::MaterialReader;
 use super::{Model, ModelMesh, SceneError};
 
 /// Extensions that are read and meant.
-pub const SUPPORTED: [&str; 6] = [
+pub const SUPPORTED: [&str; 7] = [
     "KHR_materials_emissive_strength",
     "KHR_materials_ior",
     "KHR_materials_specular",
     "KHR_materials_transmission",
     "KHR_materials_volume",
+    "KHR_mesh_quantization",
     "KHR_texture_transform",
 ];
 

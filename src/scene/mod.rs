@@ -12,6 +12,8 @@ mod file_tests;
 mod files;
 pub mod gltf;
 mod gltf_material;
+#[cfg(test)]
+mod gltf_tests;
 pub mod material;
 pub mod mesh;
 pub mod model;
