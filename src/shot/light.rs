@@ -232,8 +232,10 @@ fn merged(plan: &Plan) -> Result<(Radiance, Vec<Warning>), String> {
         .zip(&plan.exposures.values)
         .map(|(photo, &exposure)| bracket::Frame { photo, exposure })
         .collect();
-    let merged = bracket::merge(&frames, &bracket::MergeOptions::default())
-        .map_err(|error| error.to_string())?;
+    // Plate and probe must be decoded alike: a curve recovered for the bracket alone would change
+    // the scale between them by more than it mends.
+    let options = bracket::MergeOptions { recover_response: false, ..Default::default() };
+    let merged = bracket::merge(&frames, &options).map_err(|error| error.to_string())?;
     let warnings = merged
         .warnings
         .iter()
