@@ -20,7 +20,7 @@ const WINDOW: usize = 256;
 pub(super) struct Alignment {
     /// Content at p in the reference is at p + shift in the frame, px.
     pub shift: DVec2,
-    /// Mean squared cube-root difference with the shift undone, over that without.
+    /// What the reference does not explain of the frame, with the shift undone, over that without.
     pub residual_ratio: f64,
 }
 
@@ -127,27 +127,45 @@ fn correlate(a: Vec<f64>, b: Vec<f64>) -> Option<DVec2> {
     Some(DVec2::new(signed(px) + dx, signed(py) + dy))
 }
 
-/// Mean squared difference of `a` and `b` shifted back, over the middle of the frame.
+/// How badly `b`, shifted back, is a function of `a`: the share of its variance that `a` does not
+/// explain (correlation ratio; Roche et al. 1998), over the middle of the frame.
+///
+/// A plain difference would be ruled by an unknown tone curve; this one does not see it.
 fn residual(a: &Image<f32>, b: &Image<f32>, shift: DVec2) -> Option<f64> {
+    /// Bands of brightness in `a`; each with count, sum and sum of squares of `b`.
+    const BANDS: usize = 64;
+    type Sums = [[f64; 3]; BANDS];
     let margin = (shift.abs().max_element().ceil() as usize).max(2) + 2;
     let (w, h) = (a.width(), a.height());
     if w <= 2 * margin || h <= 2 * margin {
         return None;
     }
     // 0.1 … 0.97: neither black nor cut; judged on the reference so that both shifts see one set.
-    let row_sum = |y: usize| {
-        (margin..w - margin)
-            .filter(|&x| (0.1..0.97).contains(&a[(x, y)]))
-            .map(|x| {
-                let there = DVec2::new(x as f64, y as f64) + shift;
-                let value = sample(b, there, 0.0f32, |v, w| v * w, |a, b| a + b);
-                (f64::from(value - a[(x, y)]).powi(2), 1usize)
-            })
-            .fold((0.0, 0), |sum, one| (sum.0 + one.0, sum.1 + one.1))
+    let row_sums = |y: usize| {
+        let mut sums: Sums = [[0.0; 3]; BANDS];
+        for x in (margin..w - margin).filter(|&x| (0.1..0.97).contains(&a[(x, y)])) {
+            let there = DVec2::new(x as f64, y as f64) + shift;
+            let value = f64::from(sample(b, there, 0.0f32, |v, w| v * w, |a, b| a + b));
+            let band = &mut sums[(a[(x, y)] * BANDS as f32) as usize];
+            *band = [band[0] + 1.0, band[1] + value, band[2] + value * value];
+        }
+        sums
     };
-    let rows: Vec<(f64, usize)> = (margin..h - margin).into_par_iter().map(row_sum).collect();
-    let (sum, n) = rows.iter().fold((0.0, 0), |s, r| (s.0 + r.0, s.1 + r.1));
-    (n >= 100).then(|| sum / n as f64)
+    let rows: Vec<Sums> = (margin..h - margin).into_par_iter().map(row_sums).collect();
+    let mut all = [0.0; 3];
+    let mut within = 0.0;
+    for band in 0..BANDS {
+        let add = |s: [f64; 3], t: [f64; 3]| [s[0] + t[0], s[1] + t[1], s[2] + t[2]];
+        let sums = rows.iter().fold([0.0; 3], |sums, row| add(sums, row[band]));
+        within += scatter(sums);
+        all = add(all, sums);
+    }
+    (all[0] >= 100.0 && scatter(all) > 0.0).then(|| within / scatter(all))
+}
+
+/// Sum of squared deviations from the mean, of a count, a sum and a sum of squares.
+fn scatter([n, sum, squares]: [f64; 3]) -> f64 {
+    if n > 0.0 { (squares - sum * sum / n).max(0.0) } else { 0.0 }
 }
 
 /// The four Catmull–Rom weights for a fraction 0…1 between the two middle taps.
@@ -284,7 +302,7 @@ mod tests {
         for shift in [DVec2::new(0.4, -0.3), DVec2::new(3.7, 1.2), DVec2::new(-14.6, 8.25)] {
             let found = measure((&reference, 1.0), (&scene(shift), 1.0)).unwrap();
             assert!((found.shift - shift).length() < 0.1, "{shift} was found as {}", found.shift);
-            assert!(found.residual_ratio < 0.05, "{}", found.residual_ratio);
+            assert!(found.residual_ratio < 0.5, "{}", found.residual_ratio);
         }
     }
 

@@ -38,7 +38,8 @@ pub(super) fn decode(
     guarded(path, FORMAT, || {
         let damaged = |e: exr::error::Error| match e {
             exr::error::Error::NotSupported(what) => {
-                PhotoError::unsupported(path, what, "write it again with ZIP or PIZ compression")
+                let remedy = "write it as flat RGB with ZIP or PIZ compression";
+                PhotoError::unsupported(path, what.trim_end_matches(" not supported yet"), remedy)
             }
             other => PhotoError::damaged(path, FORMAT, other),
         };
@@ -199,6 +200,11 @@ fn check_part(
     if header.channels.list.iter().any(|c| c.sampling != Vec2(1, 1)) {
         let remedy = "write the file as RGB without chroma subsampling";
         return Err(PhotoError::unsupported(path, "luminance-chroma with subsampling", remedy));
+    }
+    let aspect = header.shared_attributes.pixel_aspect;
+    if !((aspect - 1.0).abs() < 1e-3) {
+        let found = format!("pixel aspect ratio {aspect}");
+        return Err(PhotoError::unsupported(path, found, "resample it to square pixels"));
     }
     let has = |name: &str| header.channels.list.iter().any(|c| c.name == *name);
     if picture.channels.len() < 3 && has("RY") && has("BY") {

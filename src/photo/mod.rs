@@ -16,6 +16,8 @@ mod linear;
 pub mod png;
 pub mod radiance_hdr;
 mod raster;
+#[cfg(test)]
+mod tests;
 pub mod tiff;
 pub mod tone;
 
@@ -276,68 +278,4 @@ fn not_a_picture(path: &Path, bytes: &[u8]) -> PhotoError {
         ),
     };
     PhotoError::NotAPicture { path: path.into(), found: found.into(), hint }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// A folder of `../shared`, or `None` with a word where it is missing.
-    fn shared(folder: &str) -> Option<PathBuf> {
-        let root = std::env::var_os("PLATELIGHT_SHARED").map_or_else(
-            || PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../shared")),
-            PathBuf::from,
-        );
-        let path = root.join(folder);
-        if !path.exists() {
-            eprintln!("{} is missing: test skipped", path.display());
-            return None;
-        }
-        Some(path)
-    }
-
-    fn files_below(folder: &Path) -> Vec<PathBuf> {
-        let mut found = Vec::new();
-        let mut folders = vec![folder.to_path_buf()];
-        while let Some(folder) = folders.pop() {
-            for entry in std::fs::read_dir(folder).unwrap() {
-                let path = entry.unwrap().path();
-                if path.is_dir() { folders.push(path) } else { found.push(path) }
-            }
-        }
-        found.sort();
-        found
-    }
-
-    #[test]
-    fn odd_and_damaged_files_end_in_a_picture_or_an_error_that_names_them() {
-        for set in ["data/exr-odd", "data/exr-damaged", "data/png-suite", "data/image-odd"] {
-            let Some(folder) = shared(set) else { continue };
-            for path in files_below(&folder) {
-                match read(&path, &ReadOptions::default()) {
-                    Ok(photo) => {
-                        let (w, h) = (photo.linear.width(), photo.linear.height());
-                        if std::env::var_os("LIST").is_some() {
-                            eprintln!(
-                                "OK {} {w}x{h} {:?} {:?}",
-                                path.display(),
-                                photo.encoding,
-                                photo.nonfinite
-                            );
-                        }
-                        assert!(photo.linear.pixels().iter().all(|l| l.is_finite()));
-                        assert_eq!(photo.clipped.pixels().len(), w * h);
-                    }
-                    Err(error) => {
-                        let message = error.to_string();
-                        if std::env::var_os("LIST").is_some() {
-                            eprintln!("ERR {message}");
-                        }
-                        let name = path.file_name().unwrap().to_string_lossy();
-                        assert!(message.contains(&*name), "{message}");
-                    }
-                }
-            }
-        }
-    }
 }

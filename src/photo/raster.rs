@@ -60,11 +60,12 @@ pub(super) fn decode_tiff(
         {
             return Err(PhotoError::unsupported(path, "CMYK", "convert it to RGB"));
         }
-        decoder.set_limits(limits(options)).map_err(failed)?;
+        // Before the limits are set: image 0.25 then hides every tag larger than the pixels.
         let profile = match decoder.icc_profile().map_err(failed)? {
             Some(icc) if options.colour.is_none() => Some(icc::encoding(path, &icc)?),
             _ => None,
         };
+        decoder.set_limits(limits(options)).map_err(failed)?;
         // A TIFF file is an EXIF block itself.
         finish(path, options, decoder, Some(bytes.to_vec()), profile, "TIFF")
     })

@@ -2,10 +2,10 @@
 //!
 //! folder → folder. Everything that can be wrong is found in the plan, before any work.
 
-pub mod calibrate;
-pub mod camera_keys;
 pub mod batch;
 pub mod budget;
+pub mod calibrate;
+pub mod camera_keys;
 pub mod check;
 pub mod detect;
 pub mod existing;

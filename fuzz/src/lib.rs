@@ -1,0 +1,3 @@
+//! The fuzz targets of Platelight: one for each format, see [`formats`].
+
+pub mod formats;

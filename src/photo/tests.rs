@@ -1,0 +1,528 @@
+//! The photo room's promises: what is written is what is read, and nothing a file holds does harm.
+
+use exr::prelude::{
+    AnyChannel, AnyChannels, Compression, Encoding as ExrEncoding, FlatSamples, Image as ExrImage,
+    Layer, LayerAttributes, WritableImage,
+};
+use half::f16;
+
+use super::exr_file::{ExrAttributes, ExrPicture, ExrSamples, LINEAR_REC709};
+use super::*;
+
+fn open(name: &str, bytes: &[u8]) -> Result<Photo, PhotoError> {
+    read_bytes(Path::new(name), bytes, &ReadOptions::default())
+}
+
+fn open_as(name: &str, bytes: &[u8], colour: &str) -> Photo {
+    let options = ReadOptions { colour: colour::named(colour).unwrap(), ..ReadOptions::default() };
+    read_bytes(Path::new(name), bytes, &options).unwrap()
+}
+
+fn exr_bytes(picture: &ExrPicture) -> Vec<u8> {
+    exr_file::to_bytes(Path::new("a.exr"), picture).unwrap()
+}
+
+/// A half picture holding every kind of half there is: 256 × 256 bit patterns.
+fn every_half() -> ExrPicture {
+    let mut picture = ExrPicture { width: 256, height: 256, ..ExrPicture::default() };
+    let bits = |shift: u16| (0..=u16::MAX).map(|v| f16::from_bits(v.wrapping_add(shift))).collect();
+    picture.push("G", ExrSamples::F16(bits(1)));
+    picture.push("R", ExrSamples::F16(bits(0)));
+    picture.push("B", ExrSamples::F16(bits(2)));
+    picture
+}
+
+#[test]
+fn every_half_comes_back_with_its_own_bits() {
+    let photo = open("a.exr", &exr_bytes(&every_half())).unwrap();
+    let Samples::F16 { channels: 3, data } = &photo.samples else { panic!("not half RGB") };
+    for (i, rgb) in data.chunks_exact(3).enumerate() {
+        for (c, half) in rgb.iter().enumerate() {
+            assert_eq!(half.to_bits(), (i as u16).wrapping_add(c as u16), "pixel {i}");
+        }
+    }
+    // 2 × 1024 patterns have the exponent of NaN and infinity; each is seen through three channels.
+    let bad = photo.nonfinite.unwrap();
+    assert_eq!(bad.pixels, 2 * (1024 + 2));
+    // 0x7bfe: the first pixel whose blue is infinite.
+    assert_eq!(bad.first, (0xfe, 0x7b));
+    assert!(photo.linear.pixels().iter().all(|l| l.is_finite()));
+}
+
+#[test]
+fn mixed_layers_come_back_by_name() {
+    let mut picture = ExrPicture { width: 3, height: 2, ..ExrPicture::default() };
+    let ramp = |k: f32| (0..6).map(move |i| k + i as f32);
+    for (name, k) in [("R", 0.1), ("G", 0.2), ("B", 0.3)] {
+        picture.push(name, ExrSamples::half(ramp(k)).0);
+    }
+    for (name, k) in [("difference.R", -3.0), ("difference.G", -2.0), ("difference.B", 1e9)] {
+        picture.push(name, ExrSamples::F32(ramp(k).collect()));
+    }
+    picture.push("samples.Y", ExrSamples::U32(vec![0, 1, 2, 3, 4, 4_000_000]));
+    let bytes = exr_bytes(&picture);
+    let layer = |name: &str| {
+        let options = ReadOptions { layer: Some(name.into()), ..ReadOptions::default() };
+        read_bytes(Path::new("a.exr"), &bytes, &options)
+    };
+    let difference = layer("difference").unwrap();
+    assert_eq!(difference.linear[(2, 1)], Rgb::new(2.0, 3.0, 1e9 + 5.0));
+    assert_eq!(layer("samples").unwrap().linear[(2, 1)].x, 4_000_000.0);
+    let error = layer("shadow").unwrap_err().to_string();
+    assert!(error.contains("shadow") && error.contains("difference.G"), "{error}");
+}
+
+#[test]
+fn the_same_picture_is_the_same_bytes_on_any_number_of_threads() {
+    let mut picture = every_half();
+    picture.attributes = ExrAttributes {
+        comments: Some("{\"name\": \"Jørgen\"}".into()),
+        colour_id: Some(LINEAR_REC709),
+        ..ExrAttributes::default()
+    };
+    let on = |threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| exr_bytes(&picture))
+    };
+    let one = on(1);
+    assert_eq!(one, on(4));
+    let ascii = b"{\"name\": \"J\\u00f8rgen\"}";
+    assert!(one.windows(ascii.len()).any(|w| w == ascii), "comments are JSON in plain ASCII");
+}
+
+#[test]
+fn light_beyond_half_is_clamped_and_counted() {
+    let (samples, clamped) = ExrSamples::half([1.0, 65504.0, 65519.0, 65520.0, 1e9, -1e9]);
+    assert_eq!(clamped, 3);
+    let ExrSamples::F16(halves) = samples else { panic!("not half") };
+    assert_eq!(halves[4], f16::MAX);
+    assert_eq!(halves[5], f16::MIN);
+}
+
+#[test]
+fn pictures_that_contradict_themselves_are_not_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.exr");
+    let mut short = ExrPicture { width: 2, height: 2, ..ExrPicture::default() };
+    short.push("R", ExrSamples::F32(vec![0.0; 3]));
+    let mut double = ExrPicture { width: 1, height: 1, ..ExrPicture::default() };
+    double.push("R", ExrSamples::F32(vec![0.0]));
+    double.push("R", ExrSamples::F32(vec![0.0]));
+    for picture in [short, double, ExrPicture::default()] {
+        let error = exr_file::write(&path, &picture).unwrap_err().to_string();
+        assert!(error.contains("a.exr"), "{error}");
+    }
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
+}
+
+/// An EXR as other programs write it: data window at `place`, any compression.
+fn foreign_exr(compression: Compression, place: (i32, i32), display: (usize, usize)) -> Vec<u8> {
+    let channel = |name: &str, k: f32| {
+        let samples = (0..12).map(|i| k + i as f32).collect();
+        AnyChannel::new(name, FlatSamples::F32(samples))
+    };
+    let channels = AnyChannels::sort(
+        [channel("R", 100.0), channel("G", 200.0), channel("B", 300.0)].into_iter().collect(),
+    );
+    let attributes = LayerAttributes {
+        layer_position: exr::math::Vec2(place.0, place.1),
+        ..LayerAttributes::default()
+    };
+    let encoding = ExrEncoding { compression, ..ExrEncoding::FAST_LOSSLESS };
+    let mut image = ExrImage::from_layer(Layer::new((4, 3), attributes, encoding, channels));
+    image.attributes.display_window = exr::meta::attribute::IntegerBounds::from_dimensions(display);
+    let mut bytes = std::io::Cursor::new(Vec::new());
+    image.write().to_buffered(&mut bytes).unwrap();
+    bytes.into_inner()
+}
+
+#[test]
+fn the_data_window_is_placed_in_the_display_window() {
+    // Data window 4 × 3 at (−1, 1) in a display window of 5 × 3: the left column and the last row
+    // of it are outside, the rest of the display window is black.
+    let photo = open("a.exr", &foreign_exr(Compression::ZIP16, (-1, 1), (5, 3))).unwrap();
+    assert_eq!((photo.linear.width(), photo.linear.height()), (5, 3));
+    let red = |x, y| photo.linear[(x, y)].x;
+    assert_eq!([red(0, 0), red(4, 0), red(3, 1), red(4, 2)], [0.0; 4]);
+    assert_eq!([red(0, 1), red(1, 1), red(2, 1)], [101.0, 102.0, 103.0]);
+    assert_eq!([red(0, 2), red(2, 2)], [105.0, 107.0]);
+}
+
+#[test]
+fn lossless_compressions_read_alike_and_dwa_is_refused_by_name() {
+    let plain = open("a.exr", &foreign_exr(Compression::Uncompressed, (0, 0), (4, 3))).unwrap();
+    for compression in [Compression::RLE, Compression::ZIP1, Compression::ZIP16, Compression::PIZ] {
+        let photo = open("a.exr", &foreign_exr(compression, (0, 0), (4, 3))).unwrap();
+        assert_eq!(photo.samples, plain.samples, "{compression:?}");
+    }
+    for compression in [Compression::DWAA(None), Compression::DWAB(None)] {
+        let error = open("a.exr", &foreign_exr(compression, (0, 0), (4, 3))).unwrap_err();
+        let error = error.to_string();
+        assert!(error.contains("DWA") && error.contains("ZIP"), "{error}");
+    }
+}
+
+#[test]
+fn chromaticities_become_rec709() {
+    let mut picture = ExrPicture { width: 1, height: 1, ..ExrPicture::default() };
+    for name in ["R", "G", "B"] {
+        picture.push(name, ExrSamples::F32(vec![if name == "G" { 1.0 } else { 0.0 }]));
+    }
+    picture.attributes.chromaticities = Some(Primaries::AcesCg);
+    let photo = open("a.exr", &exr_bytes(&picture)).unwrap();
+    assert_eq!(photo.encoding.primaries, Primaries::AcesCg);
+    assert_eq!(photo.encoding.source, EncodingSource::Header);
+    // Green of ACEScg is outside Rec.709: red and blue are negative and stay so.
+    let green = photo.linear[(0, 0)];
+    assert!(green.x < -0.5 && green.y > 1.1 && green.z < -0.05, "{green}");
+}
+
+/// Interleaved samples that use the whole range.
+fn codes(channels: usize, n: usize) -> Vec<u16> {
+    (0..n * channels).map(|i| (i as u32 * 40_503 % 65_536) as u16).collect()
+}
+
+#[test]
+fn png_and_tiff_give_back_the_samples_and_the_encoding() {
+    let folder = tempfile::tempdir().unwrap();
+    let encodings = [
+        (Transfer::Srgb, Primaries::Rec709),
+        (Transfer::Srgb, Primaries::DisplayP3),
+        (Transfer::Gamma(220), Primaries::AdobeRgb),
+        (Transfer::Linear, Primaries::AcesCg),
+    ];
+    for (transfer, primaries) in encodings {
+        let encoding = Encoding { transfer, primaries, source: EncodingSource::Profile };
+        for channels in 1..=4 {
+            let wide = codes(channels, 35);
+            let narrow = wide.iter().map(|v| (v >> 8) as u8).collect();
+            for samples in
+                [Samples::U8 { channels, data: narrow }, Samples::U16 { channels, data: wide }]
+            {
+                let path = folder.path().join("a.png");
+                png::write(&path, &samples, 7, 5, &encoding).unwrap();
+                let photo = read(&path, &ReadOptions::default()).unwrap();
+                assert_eq!(photo.samples, samples);
+                assert_eq!(photo.encoding, encoding);
+                if channels == 2 {
+                    continue;
+                }
+                let path = folder.path().join("a.tif");
+                tiff::write(&path, &samples, 7, 5, &encoding).unwrap();
+                let photo = read(&path, &ReadOptions::default()).unwrap();
+                assert_eq!(photo.samples, samples);
+                assert_eq!(
+                    (photo.encoding.transfer, photo.encoding.primaries),
+                    (transfer, primaries)
+                );
+            }
+        }
+    }
+}
+
+#[test]
+fn png_files_are_reproducible() {
+    let encoding = Encoding {
+        transfer: Transfer::Srgb,
+        primaries: Primaries::DisplayP3,
+        source: EncodingSource::Named,
+    };
+    let samples = Samples::U16 { channels: 3, data: codes(3, 35) };
+    let folder = tempfile::tempdir().unwrap();
+    let bytes = |name: &str| {
+        let path = folder.path().join(name);
+        png::write(&path, &samples, 7, 5, &encoding).unwrap();
+        std::fs::read(path).unwrap()
+    };
+    let first = bytes("a.png");
+    // The profile's date has a resolution of seconds.
+    std::thread::sleep(std::time::Duration::from_millis(1100));
+    assert_eq!(first, bytes("b.png"));
+}
+
+/// A PNG by the image crate: no colour chunks at all.
+fn plain_png(kind: ::image::ExtendedColorType, raw: &[u8], width: u32, height: u32) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    let encoder = ::image::codecs::png::PngEncoder::new(&mut bytes);
+    ::image::ImageEncoder::write_image(encoder, raw, width, height, kind).unwrap();
+    bytes
+}
+
+#[test]
+fn sixteen_bits_without_a_profile_are_refused_until_named() {
+    let raw: Vec<u8> = codes(3, 4).iter().flat_map(|v| v.to_ne_bytes()).collect();
+    let bytes = plain_png(::image::ExtendedColorType::Rgb16, &raw, 2, 2);
+    let error = open("scan.png", &bytes).unwrap_err().to_string();
+    assert!(error.contains("scan.png") && error.contains("colour space"), "{error}");
+    let linear = open_as("scan.png", &bytes, "linear-rec709");
+    assert_eq!(linear.encoding.source, EncodingSource::Named);
+    assert_eq!(linear.linear[(1, 0)].x, f32::from(codes(3, 4)[3]) / 65535.0);
+    let srgb = open_as("scan.png", &bytes, "srgb");
+    let expected = colour::srgb_decode(f32::from(codes(3, 4)[3]) / 65535.0);
+    assert_eq!(srgb.linear[(1, 0)].x, expected);
+}
+
+#[test]
+fn eight_bits_are_srgb_by_rule_and_clip_at_250() {
+    let bytes = plain_png(::image::ExtendedColorType::Rgb8, &[249, 249, 249, 0, 250, 7], 2, 1);
+    let photo = open("a.png", &bytes).unwrap();
+    assert_eq!(photo.encoding.source, EncodingSource::FormatRule);
+    assert_eq!(photo.encoding.transfer, Transfer::Srgb);
+    assert_eq!(photo.clipped.pixels(), [false, true]);
+    assert_eq!(photo.linear[(1, 0)].z, colour::srgb_decode(7.0 / 255.0));
+}
+
+/// A little-endian EXIF block with orientation, time, f-number and ISO.
+fn exif_block(orientation: u16) -> Vec<u8> {
+    let mut block = b"II*\0\x08\0\0\0".to_vec();
+    let entry = |block: &mut Vec<u8>, tag: u16, kind: u16, value: u32| {
+        block.extend(tag.to_le_bytes());
+        block.extend(kind.to_le_bytes());
+        block.extend(1u32.to_le_bytes());
+        block.extend(value.to_le_bytes());
+    };
+    block.extend(2u16.to_le_bytes());
+    entry(&mut block, 0x0112, 3, orientation.into());
+    entry(&mut block, 0x8769, 4, 38);
+    block.extend([0; 4]);
+    block.extend(3u16.to_le_bytes());
+    entry(&mut block, 0x829a, 5, 80);
+    entry(&mut block, 0x829d, 5, 88);
+    entry(&mut block, 0x8827, 3, 400);
+    block.extend([0; 4]);
+    for value in [1u32, 160, 28, 10] {
+        block.extend(value.to_le_bytes());
+    }
+    block
+}
+
+/// A JPEG of `raw` RGB with an EXIF block.
+fn jpeg(raw: &[u8], width: u32, height: u32, exif: &[u8]) -> Vec<u8> {
+    let mut plain = Vec::new();
+    let encoder = ::image::codecs::jpeg::JpegEncoder::new_with_quality(&mut plain, 100);
+    let kind = ::image::ExtendedColorType::Rgb8;
+    ::image::ImageEncoder::write_image(encoder, raw, width, height, kind).unwrap();
+    let mut bytes = plain[..2].to_vec();
+    bytes.extend([0xff, 0xe1]);
+    bytes.extend((exif.len() as u16 + 8).to_be_bytes());
+    bytes.extend(b"Exif\0\0");
+    bytes.extend(exif);
+    bytes.extend(&plain[2..]);
+    bytes
+}
+
+#[test]
+fn orientation_turns_samples_and_light_upright() {
+    // 16 × 8, left half white: after a quarter turn clockwise the white half is on top.
+    let raw: Vec<u8> = (0..128).flat_map(|i| [if i % 16 < 8 { 255 } else { 0 }; 3]).collect();
+    let photo = open("a.jpg", &jpeg(&raw, 16, 8, &exif_block(6))).unwrap();
+    assert_eq!((photo.linear.width(), photo.linear.height()), (8, 16));
+    assert!(photo.linear[(4, 2)].x > 0.9 && photo.linear[(4, 13)].x < 0.1);
+    assert!(photo.clipped[(4, 2)] && !photo.clipped[(4, 13)]);
+    let Samples::U8 { channels: 3, data } = &photo.samples else { panic!("not RGB") };
+    assert!(data[(2 * 8 + 4) * 3] > 240);
+    let facts = &photo.facts;
+    assert_eq!(facts.orientation, 6);
+    assert_eq!(facts.exposure_s, Some(1.0 / 160.0));
+    assert_eq!((facts.f_number, facts.iso), (Some(2.8), Some(400.0)));
+}
+
+#[test]
+fn hostile_exif_gives_a_picture_without_facts() {
+    let raw = [128u8; 64 * 3];
+    let good = exif_block(6);
+    for cut in 0..good.len() {
+        let mut bad = good[..cut].to_vec();
+        assert!(open("a.jpg", &jpeg(&raw, 8, 8, &bad)).is_ok(), "cut at {cut}");
+        bad = good.clone();
+        bad[cut] = 0xff;
+        assert!(open("a.jpg", &jpeg(&raw, 8, 8, &bad)).is_ok(), "byte {cut}");
+    }
+}
+
+#[test]
+fn four_component_jpeg_is_refused_before_decoding() {
+    let mut bytes = jpeg(&[128; 192], 8, 8, &exif_block(1));
+    let sof = bytes.windows(2).position(|w| w == [0xff, 0xc0]).unwrap();
+    bytes[sof + 9] = 4;
+    let error = open("scan.jpg", &bytes).unwrap_err().to_string();
+    assert!(error.contains("CMYK") && error.contains("RGB"), "{error}");
+}
+
+#[test]
+fn radiance_hdr_round_trips_without_bias_in_either_convention() {
+    let folder = tempfile::tempdir().unwrap();
+    // Log-uniform over six decades, one channel ten times weaker.
+    let picture = Image::from_fn(200, 100, |x, y| {
+        let l = 10f32.powf(6.0 * ((x * 100 + y) as f32 * 0.618_034).fract() - 3.0);
+        Rgb::new(l, 0.5 * l, 0.1 * l)
+    });
+    for mantissa in [Mantissa::Truncated, Mantissa::Rounded] {
+        let path = folder.path().join("a.hdr");
+        radiance_hdr::write(&path, &picture, mantissa).unwrap();
+        let options = ReadOptions { mantissa, ..ReadOptions::default() };
+        let back = read(&path, &options).unwrap();
+        let bias = |c: usize| {
+            let pairs = back.linear.pixels().iter().zip(picture.pixels());
+            pairs.map(|(b, p)| f64::from(b[c] / p[c]) - 1.0).sum::<f64>() / 20_000.0
+        };
+        // One mantissa step is at most 1/128 of the strongest channel; a mean of 20 000 of them is
+        // known to 2·10⁻⁵ there, and ten times worse in the weak channel.
+        for (c, limit) in [(0, 2e-4), (1, 4e-4), (2, 2e-3)] {
+            assert!(bias(c).abs() < limit, "{mantissa:?} channel {c}: {}", bias(c));
+        }
+    }
+}
+
+#[test]
+fn radiance_hdr_headers_are_honoured() {
+    let file = |header: &str| {
+        let mut bytes =
+            format!("#?RADIANCE\n{header}FORMAT=32-bit_rle_rgbe\n\n-Y 1 +X 2\n").into_bytes();
+        bytes.extend([128, 64, 0, 129, 0, 0, 0, 0]);
+        bytes
+    };
+    let options = ReadOptions { mantissa: Mantissa::Rounded, ..ReadOptions::default() };
+    let value = |header: &str| {
+        read_bytes(Path::new("a.hdr"), &file(header), &options).unwrap().linear[(0, 0)]
+    };
+    assert_eq!(value(""), Rgb::new(1.0, 0.5, 0.0));
+    assert_eq!(value("EXPOSURE=2\nEXPOSURE=4\n"), Rgb::new(0.125, 0.0625, 0.0));
+    assert_eq!(value("COLORCORR=1 0.5 1\n"), Rgb::new(1.0, 1.0, 0.0));
+    for bad in ["EXPOSURE=0\n", "EXPOSURE=nan\n", "COLORCORR=1 2\n", "PRIMARIES=1\n"] {
+        assert!(open("a.hdr", &file(bad)).is_err(), "{bad}");
+    }
+    let xyze = String::from_utf8_lossy(&file("")).replace("rgbe", "xyze").into_bytes();
+    assert!(open("a.hdr", &xyze).unwrap_err().to_string().contains("XYZE"));
+}
+
+#[test]
+fn huge_claims_are_refused_before_anything_is_allocated() {
+    let hdr = b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 60000 +X 60000\n".to_vec();
+    let mut png = plain_png(::image::ExtendedColorType::Rgb8, &[0; 3], 1, 1);
+    png[16..24].copy_from_slice(&[0, 0, 0xea, 0x60, 0, 0, 0xea, 0x60]);
+    let mut jpg = jpeg(&[128; 192], 8, 8, &exif_block(1));
+    let sof = jpg.windows(2).position(|w| w == [0xff, 0xc0]).unwrap();
+    jpg[sof + 5..sof + 9].copy_from_slice(&[0xff, 0xff, 0xff, 0xff]);
+    for (name, bytes) in [("a.hdr", hdr), ("a.png", png), ("a.jpg", jpg)] {
+        let error = open(name, &bytes).unwrap_err();
+        assert!(matches!(error, PhotoError::TooLarge { .. }), "{name}: {error}");
+    }
+    // The crate itself compares an EXR's size with its chunks, so a true size is tried here.
+    let options = ReadOptions { max_bytes: 256 * 256 * 4 * 3 - 1, ..ReadOptions::default() };
+    let error = read_bytes(Path::new("a.exr"), &exr_bytes(&every_half()), &options).unwrap_err();
+    assert!(matches!(error, PhotoError::TooLarge { .. }), "{error}");
+}
+
+#[test]
+fn every_cut_of_every_format_is_an_error_or_a_picture() {
+    let rgb: Vec<u8> = (0..35 * 3).map(|i| (i * 7) as u8).collect();
+    let folder = tempfile::tempdir().unwrap();
+    let encoding = Encoding {
+        transfer: Transfer::Srgb,
+        primaries: Primaries::Rec709,
+        source: EncodingSource::Named,
+    };
+    let tif = folder.path().join("a.tif");
+    tiff::write(&tif, &Samples::U8 { channels: 3, data: rgb.clone() }, 7, 5, &encoding).unwrap();
+    let hdr = folder.path().join("a.hdr");
+    let picture = Image::from_fn(7, 5, |x, y| Rgb::new(x as f32, y as f32, 1.0));
+    radiance_hdr::write(&hdr, &picture, Mantissa::Truncated).unwrap();
+    for (name, bytes) in [
+        ("a.exr", foreign_exr(Compression::PIZ, (0, 0), (4, 3))),
+        ("b.exr", foreign_exr(Compression::ZIP16, (1, 1), (9, 9))),
+        ("a.png", plain_png(::image::ExtendedColorType::Rgb8, &rgb, 7, 5)),
+        ("a.jpg", jpeg(&rgb, 7, 5, &exif_block(3))),
+        ("a.tif", std::fs::read(tif).unwrap()),
+        ("a.hdr", std::fs::read(hdr).unwrap()),
+    ] {
+        assert!(open(name, &bytes).is_ok(), "{name} whole");
+        for cut in 0..bytes.len() {
+            if let Err(error) = open(name, &bytes[..cut]) {
+                assert!(error.to_string().contains(name), "{error}");
+            }
+        }
+    }
+}
+
+#[test]
+fn what_is_no_picture_is_told_apart() {
+    for (bytes, word) in [
+        (&b""[..], "empty"),
+        (b"version https://git-lfs.github.com/spec/v1\n", "LFS"),
+        (b"BM\0\0", "BMP"),
+        (b"\0\0\0\x18ftypheic", "HEIC"),
+        (b"hello", "known format"),
+    ] {
+        let error = open("a.xyz", bytes).unwrap_err().to_string();
+        assert!(error.contains("a.xyz") && error.contains(word), "{error}");
+    }
+}
+
+/// A folder of `../shared`, or `None` with a word where it is missing.
+fn shared(folder: &str) -> Option<PathBuf> {
+    let root = std::env::var_os("PLATELIGHT_SHARED").map_or_else(
+        || PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../shared")),
+        PathBuf::from,
+    );
+    let path = root.join(folder);
+    if !path.exists() {
+        eprintln!("{} is missing: test skipped", path.display());
+        return None;
+    }
+    Some(path)
+}
+
+fn files_below(folder: &Path) -> Vec<PathBuf> {
+    let mut found = Vec::new();
+    let mut folders = vec![folder.to_path_buf()];
+    while let Some(folder) = folders.pop() {
+        for entry in std::fs::read_dir(folder).unwrap() {
+            let path = entry.unwrap().path();
+            if path.is_dir() { folders.push(path) } else { found.push(path) }
+        }
+    }
+    found.sort();
+    found
+}
+
+#[test]
+fn odd_and_damaged_files_end_in_a_picture_or_an_error_that_names_them() {
+    for set in ["data/exr-odd", "data/exr-damaged", "data/png-suite", "data/image-odd"] {
+        let Some(folder) = shared(set) else { continue };
+        for path in files_below(&folder) {
+            match read(&path, &ReadOptions::default()) {
+                Ok(photo) => {
+                    let (w, h) = (photo.linear.width(), photo.linear.height());
+                    assert!(photo.linear.pixels().iter().all(|l| l.is_finite()));
+                    assert_eq!(photo.clipped.pixels().len(), w * h);
+                }
+                Err(error) => {
+                    let name = path.file_name().unwrap().to_string_lossy();
+                    assert!(error.to_string().contains(&*name), "{error}");
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn display_windows_of_openexr_show_what_their_readme_says() {
+    let Some(folder) = shared("data/exr-odd/DisplayWindow") else { return };
+    let open = |name: &str| read(&folder.join(name), &ReadOptions::default()).unwrap().linear;
+    let whole = open("t01.exr");
+    assert_eq!((whole.width(), whole.height()), (400, 300));
+    for apart in ["t09.exr", "t10.exr", "t11.exr", "t12.exr"] {
+        assert!(open(apart).pixels().iter().all(|&l| l == Rgb::ZERO), "{apart}");
+    }
+    let black = |l: &&Rgb| **l == Rgb::ZERO;
+    let corner = open("t13.exr");
+    assert_eq!(corner[(0, 0)], whole[(399, 299)]);
+    assert!(corner.pixels()[1..].iter().all(|l| black(&l)));
+    let corner = open("t14.exr");
+    let last = (corner.width() - 1, corner.height() - 1);
+    assert_eq!(corner[last], whole[(0, 0)]);
+    // Not square: the lens model of every later step would be wrong.
+    let error = read(&folder.join("t15.exr"), &ReadOptions::default()).unwrap_err().to_string();
+    assert!(error.contains("1.5"), "{error}");
+}
