@@ -232,16 +232,50 @@ impl Grid {
         Ok(())
     }
 
-    /// Moves each corner to the crossing of its edges; where that is not clear it stays.
+    /// Moves each corner to the crossing of its edges.
+    ///
+    /// Where that is not clear from the detector's place (noise can throw `cornerSubPix` off by two
+    /// pixels), the middle of its placed neighbours is the next start; a corner that stays unclear stays.
     fn place_saddles(&mut self, picture: &Picture) {
-        let Checkerboard { columns, rows } = self.board;
-        let placed = (0..self.pixels.len()).map(|i| {
+        let refined = |grid: &Self, i: usize, start: [f64; 2]| {
+            let Checkerboard { columns, rows } = grid.board;
             let (column, row) = (i % columns, i / columns);
-            let along_x = self.step(column, columns, |c| self.at(c, row));
-            let along_y = self.step(row, rows, |r| self.at(column, r));
-            saddle::refine(picture, self.pixels[i], along_x, along_y).unwrap_or(self.pixels[i])
-        });
-        self.pixels = placed.collect();
+            let along_x = grid.step(column, columns, |c| grid.at(c, row));
+            let along_y = grid.step(row, rows, |r| grid.at(column, r));
+            saddle::refine(picture, start, along_x, along_y)
+        };
+        let placed: Vec<Option<[f64; 2]>> =
+            (0..self.pixels.len()).map(|i| refined(self, i, self.pixels[i])).collect();
+        for (pixel, place) in self.pixels.iter_mut().zip(&placed) {
+            *pixel = place.unwrap_or(*pixel);
+        }
+        for i in (0..placed.len()).filter(|&i| placed[i].is_none()) {
+            if let Some(between) = self.between_neighbours(i, &placed)
+                && let Some(place) = refined(self, i, between)
+            {
+                self.pixels[i] = place;
+            }
+        }
+    }
+
+    /// Middle of the placed neighbours on either side, along rows and columns where both are there.
+    fn between_neighbours(&self, i: usize, placed: &[Option<[f64; 2]>]) -> Option<[f64; 2]> {
+        let Checkerboard { columns, rows } = self.board;
+        let (column, row) = (i % columns, i / columns);
+        let mut sum = ([0.0; 2], 0.0);
+        let mut add = |a: usize, b: usize| {
+            if let (Some(a), Some(b)) = (placed[a], placed[b]) {
+                sum.0 = [0, 1].map(|k| sum.0[k] + 0.5 * (a[k] + b[k]));
+                sum.1 += 1.0;
+            }
+        };
+        if column > 0 && column + 1 < columns {
+            add(i - 1, i + 1);
+        }
+        if row > 0 && row + 1 < rows {
+            add(i - columns, i + columns);
+        }
+        (sum.1 > 0.0).then(|| sum.0.map(|v| v / sum.1))
     }
 
     fn is_mirrored(&self) -> bool {
@@ -283,6 +317,9 @@ impl Grid {
                 } else {
                     -(low(same) - high(other))
                 };
+                // Squares outside the outermost corners may be cut or held: they only count on average.
+                let rim = column == 0 || row == 0 || column + 1 == columns || row + 1 == rows;
+                let worst = if rim { difference } else { worst };
                 let white = if difference > 0.0 { other } else { same };
                 white_samples += 2;
                 clipped += white.iter().filter(|&&v| v >= 0.98).count();

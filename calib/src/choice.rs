@@ -76,6 +76,16 @@ fn with_aspect(shape: &Shape) -> Shape {
     Shape { moves, ..shape.clone() }
 }
 
+/// Whether the diagonal field exceeds 90°: below, fisheye models only imitate the others.
+fn is_wide(lens: &Lens, width: usize, height: usize) -> bool {
+    let edge = |x: f64, y: f64| lens.unproject([x, y]);
+    match (edge(0.0, 0.0), edge(width as f64 - 1.0, height as f64 - 1.0)) {
+        (Some(a), Some(b)) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2] < 0.0,
+        // Corners no direction reaches belong to an image circle.
+        _ => true,
+    }
+}
+
 /// Best one-parameter fit from several focal lengths: one start decides nothing.
 fn first_fit(
     model: Model,
@@ -120,6 +130,9 @@ pub(crate) fn fit_all(
     for model in [Model::Brown, Model::KannalaBrandt] {
         let Some(first) = first_fit(model, width, height, views, &extent)? else { continue };
         let mut start = first;
+        if model == Model::KannalaBrandt && !is_wide(&start.lens, width, height) {
+            continue;
+        }
         // One and two views cannot tell a principal point from a tilt.
         let ladder = shapes().into_iter().filter(|(_, s)| s.model == model);
         for (name, shape) in ladder.filter(|(_, s)| views.len() > 2 || s.moves.len() <= 2) {

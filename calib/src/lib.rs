@@ -9,12 +9,15 @@
 pub mod board;
 mod bundle;
 pub mod calibrate;
+pub mod charuco;
 mod choice;
+mod edge;
 mod edge_lines;
 pub mod lens;
 mod mat;
 mod projection;
 mod saddle;
+mod strip;
 pub mod tag;
 pub mod targets;
 

@@ -6,12 +6,15 @@
 //! This room computes nothing.
 
 mod batch;
+mod calibrate;
 mod check;
 mod error;
+mod locate;
 mod merge;
 mod preview;
 mod progress;
 mod run;
+mod targets;
 mod terminal;
 
 pub use error::CliError;
@@ -96,8 +99,11 @@ enum Command {
     Run(run::Args),
     Check(check::Args),
     Batch(batch::Args),
+    Calibrate(calibrate::Args),
+    Locate(locate::Args),
     Merge(merge::Args),
     Preview(preview::Args),
+    Targets(targets::Args),
 }
 
 /// Runs the command with its arguments.
@@ -106,8 +112,11 @@ fn dispatch(command: &Command, global: &Global) -> Result<Outcome, CliError> {
         Command::Run(args) => run::run(args, global),
         Command::Check(args) => check::run(args, global),
         Command::Batch(args) => batch::run(args, global),
+        Command::Calibrate(args) => calibrate::run(args, global),
+        Command::Locate(args) => locate::run(args, global),
         Command::Merge(args) => merge::run(args, global),
         Command::Preview(args) => preview::run(args, global),
+        Command::Targets(args) => targets::run(args, global),
     }
 }
 

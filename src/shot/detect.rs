@@ -10,7 +10,9 @@ mod opencv;
 #[path = "detect/none.rs"]
 mod opencv;
 
-pub use self::opencv::{board, calibrate, tag};
+pub use self::opencv::{board, calibrate, charuco_pattern, tag, tag_pattern};
+#[cfg(feature = "opencv")]
+pub use self::opencv::{from_calib, to_calib};
 
 use glam::DVec2;
 

@@ -156,7 +156,8 @@ fn sight_tag(
     tag: &TagPose,
     lens: &Lens,
 ) -> Result<(Vec<Sighting>, f64, Option<Warning>), LocateError> {
-    const CLIPPED: f64 = 0.2;
+    const CLIPPED: f64 = 0.3;
+    const ALL_CLIPPED: f64 = 0.9;
     let name = photo.path.display();
     let seen = detect::tag(photo, &tag.family, tag.id, Some(lens))
         .map_err(|cause| LocateError::Detect { photo: photo.path.clone(), cause })?;
@@ -168,13 +169,15 @@ fn sight_tag(
     let sightings =
         corners.iter().zip(seen.corners).map(|(&world, pixel)| Sighting { world, pixel }).collect();
     if seen.clipped_white > CLIPPED {
-        // F40: black grows by the light that spills over a clipped edge.
+        // F40: black grows by the light that spills over a clipped edge. Where part of the white is not
+        // clipped the edge fit knows how bright it is; where nothing is left it guesses.
+        let sigma_px = if seen.clipped_white > ALL_CLIPPED { 0.5 } else { 0.1 };
         let said = Warning::new(
             "pose.tag",
             format!("{name}: the white round the tag is clipped; use a shorter exposure"),
-            "corners up to 0.9 px, distance up to 1.3 %",
+            format!("corners known to {sigma_px} px"),
         );
-        return Ok((sightings, seen.sigma_px.max(0.5), Some(said)));
+        return Ok((sightings, seen.sigma_px.max(sigma_px), Some(said)));
     }
     let said = (!seen.by_edges).then(|| {
         Warning::new(

@@ -24,6 +24,7 @@ pub mod plan;
 pub mod prepare;
 pub mod probe_keys;
 pub mod run;
+pub mod sheet;
 pub mod watch;
 pub mod write;
 

@@ -20,3 +20,13 @@ pub fn tag(_: &Photo, _: &str, _: u32, _: Option<&Lens>) -> Result<TagSighting, 
 pub fn calibrate(_: usize, _: usize, _: &[Vec<(DVec2, DVec2)>]) -> Result<Calibrated, DetectError> {
     Err(DetectError::NoOpenCv)
 }
+
+/// Cells of a tag's print.
+pub fn tag_pattern(_: &str, _: u32) -> Result<(usize, Vec<bool>), DetectError> {
+    Err(DetectError::NoOpenCv)
+}
+
+/// Cells of a ChArUco board.
+pub fn charuco_pattern(_: usize, _: usize) -> Result<(usize, Vec<bool>), DetectError> {
+    Err(DetectError::NoOpenCv)
+}

@@ -3,6 +3,7 @@
 use glam::DVec2;
 use platelight_calib::board::{Checkerboard, find_checkerboard};
 use platelight_calib::calibrate::{View, Warning as LensWarning};
+use platelight_calib::charuco::{Charuco, find_charuco};
 use platelight_calib::tag::{Family, Placed, find_tags};
 use platelight_calib::{Model, Picture};
 
@@ -49,13 +50,39 @@ pub fn board(photo: &Photo, board: &Board) -> Result<BoardSighting, DetectError>
                 clipped_white: found.clipped_white,
             })
         }
-        Board::Charuco { .. } => {
-            Err(not_found("ChArUco boards are not detected yet; photograph a checkerboard"))
+        Board::Charuco { corners, square_mm, marker_mm, dictionary } => {
+            charuco(&picture, *corners, *square_mm, *marker_mm, dictionary)
         }
         Board::AprilGrid { tags, tag_mm, spacing } => {
             april_grid(&picture, *tags, *tag_mm, *spacing)
         }
     }
+}
+
+fn charuco(
+    picture: &Picture,
+    [columns, rows]: [u32; 2],
+    square_mm: f64,
+    marker_mm: f64,
+    dictionary: &str,
+) -> Result<BoardSighting, DetectError> {
+    if !["4x4_50", "4x4_100", "4x4_250"].contains(&dictionary) {
+        return Err(not_found(format!(
+            "markers of the dictionary {dictionary} cannot be read; 4x4_50, 4x4_100 and 4x4_250 can"
+        )));
+    }
+    let (columns, rows) = (columns as usize, rows as usize);
+    let board = Charuco { columns, rows, marker: marker_mm / square_mm };
+    let centre = DVec2::new(columns as f64 - 1.0, rows as f64 - 1.0) * 0.5;
+    let seen = find_charuco(picture, board).map_err(not_found)?;
+    let points = seen
+        .iter()
+        .map(|([column, row], pixel)| {
+            let at = DVec2::new(*column as f64, *row as f64) - centre;
+            (at * (square_mm * 1e-3), DVec2::from(*pixel))
+        })
+        .collect();
+    Ok(BoardSighting { points, turned_unknown: false, clipped_white: 0.0 })
 }
 
 /// Kalibr's grid: tag 0 at the lower left, ids along rows, rows upward, black border two cells wide.
@@ -175,6 +202,24 @@ fn warning(warning: &LensWarning, sigma_px: f64) -> Warning {
         _ => format!("the lens is known to {sigma_px:.2} px over the frame"),
     };
     Warning::new("camera", warning.to_string(), size)
+}
+
+/// Cells of a tag's print, border included, and how many to a side; true is white.
+pub fn tag_pattern(family: &str, id: u32) -> Result<(usize, Vec<bool>), DetectError> {
+    let named = Family::by_name(family)
+        .ok_or_else(|| not_found(format!("\"{family}\" is no family of AprilTags")))?;
+    let count = named.count().map_err(not_found)?;
+    if id as usize >= count {
+        return Err(not_found(format!("{family} has tags 0 to {}, not {id}", count - 1)));
+    }
+    let cells = platelight_calib::tag::pattern(named, id).map_err(not_found)?;
+    Ok((named.cells(), cells))
+}
+
+/// Cells of a ChArUco board of `columns × rows` squares, and how many to a square's side; true is white.
+pub fn charuco_pattern(columns: usize, rows: usize) -> Result<(usize, Vec<bool>), DetectError> {
+    let cells = platelight_calib::targets::charuco_pattern(columns, rows).map_err(not_found)?;
+    Ok((platelight_calib::targets::CHARUCO_CELLS, cells))
 }
 
 /// The same lens as `calib/` writes it: all twelve, or the eight of Kannala–Brandt.

@@ -1,0 +1,167 @@
+//! `platelight locate`: where a camera stood, from a tag, a board or a marked rectangle.
+
+use std::path::PathBuf;
+
+use glam::DVec3;
+use serde::Serialize;
+
+use super::{CliError, Global, Outcome, calibrate};
+use crate::camera::{Camera, file};
+use crate::photo::{self, ReadOptions};
+use crate::report::{PoseReport, Warning};
+use crate::shot::camera_keys::{BoardPose, Placing, PoseSource, RectanglePose, TagPose};
+use crate::shot::locate;
+
+/// Find where a camera stood, from a tag, a board or four marked corners
+///
+/// The world: metres, +Y up. The target's place is its centre (a tag's black square, a board's grid of
+/// inner corners), where its printed side looks, and where its upper edge points.
+#[derive(Debug, clap::Args)]
+#[command(
+    after_help = "Examples:\n  platelight locate tag.jpg --camera camera.json --tag 7 --size-mm 120 -o located.json\n  \
+                  platelight locate board.jpg --camera camera.json --board 9x6 --square-mm 25 --at 0,0.002,0\n  \
+                  platelight locate plate.png --camera camera.json --rectangle 301,210,640,222,702,480,260,455 --size-m 0.45,0.45"
+)]
+#[command(group = clap::ArgGroup::new("target").required(true).args(["tag", "board", "rectangle"]))]
+pub struct Args {
+    /// The photograph
+    photo: PathBuf,
+    /// The lens: camera.json, OpenCV YAML or COLMAP cameras.txt
+    #[arg(long, value_name = "FILE")]
+    camera: PathBuf,
+    /// Number of the AprilTag
+    #[arg(long, value_name = "ID", requires = "size_mm")]
+    tag: Option<u32>,
+    /// AprilTag family
+    #[arg(long, default_value = "36h11", value_name = "NAME")]
+    family: String,
+    /// Outer edge of the tag's black border
+    #[arg(long, value_name = "MM")]
+    size_mm: Option<f64>,
+    /// Inner corners of the checkerboard
+    #[arg(long, value_name = "WxH", requires = "square_mm")]
+    board: Option<String>,
+    /// Side of a square
+    #[arg(long, value_name = "MM")]
+    square_mm: Option<f64>,
+    /// Corners of a rectangle: upper left, upper right, lower right, lower left, as x,y pairs
+    #[arg(long, value_name = "PX", value_delimiter = ',', num_args = 8, requires = "size_m")]
+    rectangle: Option<Vec<f64>>,
+    /// Width and height of the rectangle in metres
+    #[arg(long, value_name = "W,H", value_delimiter = ',', num_args = 2)]
+    size_m: Option<Vec<f64>>,
+    /// Centre of the target in the world, metres
+    #[arg(long, value_name = "X,Y,Z", value_delimiter = ',', num_args = 3, allow_hyphen_values = true,
+          default_values_t = [0.0, 0.0, 0.0])]
+    at: Vec<f64>,
+    /// Where its printed side looks
+    #[arg(long, value_name = "X,Y,Z", value_delimiter = ',', num_args = 3, allow_hyphen_values = true,
+          default_values_t = [0.0, 1.0, 0.0])]
+    facing: Vec<f64>,
+    /// Where its upper edge points
+    #[arg(long, value_name = "X,Y,Z", value_delimiter = ',', num_args = 3, allow_hyphen_values = true,
+          default_values_t = [0.0, 0.0, -1.0])]
+    up: Vec<f64>,
+    /// Write the camera with its pose
+    #[arg(long, short, value_name = "FILE")]
+    out: Option<PathBuf>,
+}
+
+#[derive(Serialize)]
+struct Summary {
+    out: Option<PathBuf>,
+    pose: PoseReport,
+    /// Camera axes (−Z forward, +Y up) to world, three rows of four.
+    world_from_camera: [[f64; 4]; 3],
+    warnings: Vec<Warning>,
+}
+
+pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
+    let read = file::read(&args.camera)?;
+    let photo = photo::read(&args.photo, &ReadOptions::default())?;
+    let size = [photo.linear.width(), photo.linear.height()];
+    let expected = [read.camera.width, read.camera.height];
+    if size != expected {
+        return Err(CliError::wrong(format!(
+            "{}: {}×{} px, but {} is for {}×{}; use a photograph of the same setting",
+            args.photo.display(),
+            size[0],
+            size[1],
+            args.camera.display(),
+            expected[0],
+            expected[1]
+        )));
+    }
+    let source = source(args)?;
+    let mut found = locate::find_pose(&source, &read.camera.lens, size, None)?;
+    let camera = Camera { pose: found.pose.clone(), ..read.camera };
+    let facing = DVec3::from_slice(&args.facing);
+    // Slip a hand's breadth round the target: what an object standing on it would show.
+    found.report.slip_px =
+        found.slip_px(&camera, DVec3::from_slice(&args.at), facing, SLIP_RADIUS_M);
+    if let Some(out) = &args.out {
+        file::write(out, &camera, true)?;
+    }
+    for warning in &found.warnings {
+        global.warn(&warning.to_string());
+    }
+    let (m, t) = (camera.pose.rotation(), camera.pose.position());
+    let row = |i: usize| [m.x_axis[i], m.y_axis[i], m.z_axis[i], t[i]];
+    let summary = Summary {
+        out: args.out.clone(),
+        pose: found.report,
+        world_from_camera: [row(0), row(1), row(2)],
+        warnings: found.warnings,
+    };
+    global.print(&summary, || describe(&summary));
+    Ok(Outcome::Done)
+}
+
+const SLIP_RADIUS_M: f64 = 0.1;
+
+fn source(args: &Args) -> Result<PoseSource, CliError> {
+    let three = |v: &[f64]| [v[0], v[1], v[2]];
+    let placing = Placing { at: three(&args.at), facing: three(&args.facing), up: three(&args.up) };
+    let photo = args.photo.clone();
+    let positive = |name: &str, value: Option<f64>| {
+        value
+            .filter(|v| *v > 0.0 && v.is_finite())
+            .ok_or_else(|| CliError::wrong(format!("--{name}: measure it, above zero")))
+    };
+    if let Some(id) = args.tag {
+        let size_mm = positive("size-mm", args.size_mm)?;
+        let family = args.family.clone();
+        return Ok(PoseSource::Tags(vec![TagPose { photo, family, id, size_mm, placing }]));
+    }
+    if let Some(corners) = &args.board {
+        let square_mm = positive("square-mm", args.square_mm)?;
+        let board = Some(calibrate::board(corners, square_mm, None)?);
+        return Ok(PoseSource::Board(BoardPose { photo, board, placing }));
+    }
+    let (Some(px), Some(size)) = (&args.rectangle, &args.size_m) else {
+        return Err(CliError::wrong("name a target: --tag, --board or --rectangle"));
+    };
+    let corners_px = std::array::from_fn(|i| [px[2 * i], px[2 * i + 1]]);
+    let size = [positive("size-m", Some(size[0]))?, positive("size-m", Some(size[1]))?];
+    Ok(PoseSource::Rectangle(RectanglePose { corners_px, size, placing }))
+}
+
+fn describe(summary: &Summary) -> String {
+    let pose = &summary.pose;
+    let three = |v: [f64; 3], digits: usize| v.map(|x| format!("{x:.digits$}")).join(", ");
+    let sigma = |v: Option<[f64; 3]>, digits: usize| {
+        v.map_or(String::new(), |v| format!(" ± {}", three(v, digits)))
+    };
+    let mut lines = vec![
+        format!("from        {}", pose.source),
+        format!("position    {}{} m", three(pose.position_m, 5), sigma(pose.sigma_position_m, 5)),
+        format!("turned by  {} ° (camera x, y, z)", sigma(pose.sigma_rotation_deg, 4)),
+        format!("residual    {:.3} px rms", pose.rms_px.unwrap_or(f64::NAN)),
+    ];
+    if let Some(slip) = pose.slip_px {
+        lines.push(format!("slip        ± {slip:.2} px round the target"));
+    }
+    lines.extend(pose.ambiguity.as_ref().map(|a| format!("also        {a}")));
+    lines.extend(summary.out.as_ref().map(|out| format!("written     {}", out.display())));
+    lines.join("\n")
+}
