@@ -35,11 +35,11 @@ impl Circle {
 }
 
 const MAX_SECTORS: usize = 120;
+/// Of the random circles, how many are polished by least squares.
+const POLISHED: usize = 30;
 const RADIUS_STEP: f64 = 1.05;
 /// Hough cells that start a RANSAC.
 const STARTS: usize = 160;
-/// Random triples per start.
-const TRIPLES: usize = 150;
 /// Cosine of the largest angle between an edge and the circle's radius.
 const ALONG: f64 = 0.94;
 
@@ -200,34 +200,72 @@ pub fn refine(
     }
     let stride = near.len().div_ceil(2500);
     let near: Vec<Edge> = near.into_iter().step_by(stride).collect();
-    let mut random = 0x9E37_79B9_7F4A_7C15u64 ^ (((radius * 16.0) as u64) << 20);
-    let mut pick = || {
-        random ^= random << 13;
-        random ^= random >> 7;
-        random ^= random << 17;
-        near[(random >> 16) as usize % near.len()].at
-    };
+    let mut pick = OutermostFirst::new(&near, centre, radius);
     let mut tried: Vec<(usize, DVec2, f64)> = Vec::new();
     for _ in 0..search.triples {
-        let Some((c, r)) = through(pick(), pick(), pick()) else { continue };
+        let (p, q, s) = (pick.next(), pick.next(), pick.next());
+        // Points close together say little of the circle.
+        let spread = (p - q).length().min((q - s).length()).min((s - p).length());
+        let Some((c, r)) = through(p, q, s).filter(|_| spread > 0.5 * radius) else { continue };
         let moved = (c - centre).length().max((r - radius).abs());
         if moved < search.reach * radius {
             tried.push((supported(&near, c, r, search.tolerance(r)), c, r));
         }
     }
-    let most = tried.iter().map(|t| t.0).max()?;
-    let enough = search.widest_of * most as f64;
-    let (_, mut c, mut r) =
-        tried.into_iter().filter(|t| t.0 as f64 >= enough).max_by(|a, b| a.2.total_cmp(&b.2))?;
-    for _ in 0..6 {
-        let tolerance = search.tolerance(r);
-        let on = near.iter().filter(|e| on_circle(e, c, r, tolerance)).map(|e| e.at);
-        match least_squares(&on.collect::<Vec<_>>(), c, r) {
-            Some(better) => (c, r) = better,
-            None => break,
+    tried.sort_by(|a, b| b.0.cmp(&a.0));
+    tried.truncate(POLISHED);
+    for (support, c, r) in &mut tried {
+        for _ in 0..4 {
+            let tolerance = search.tolerance(*r);
+            let on = near.iter().filter(|e| on_circle(e, *c, *r, tolerance)).map(|e| e.at);
+            let Some(better) = least_squares(&on.collect::<Vec<_>>(), *c, *r) else { break };
+            let reached = supported(&near, better.0, better.1, search.tolerance(better.1));
+            if reached < *support {
+                break;
+            }
+            (*support, *c, *r) = (reached, better.0, better.1);
         }
     }
+    let enough = search.widest_of * tried.iter().map(|t| t.0).max()? as f64;
+    let (_, c, r) =
+        tried.into_iter().filter(|t| t.0 as f64 >= enough).max_by(|a, b| a.2.total_cmp(&b.2))?;
     measure(edges, frame, c, r, search)
+}
+
+/// Draws edge points for RANSAC: a sector at random, in it every other time any edge, else the
+/// outermost with probability ½, the next with ¼ and so on. The rim is the outermost ring, so triples
+/// lie on it far more often than chance.
+struct OutermostFirst {
+    sectors: Vec<Vec<DVec2>>,
+    random: u64,
+}
+
+impl OutermostFirst {
+    fn new(edges: &[Edge], centre: DVec2, radius: f64) -> Self {
+        let n = sectors(radius);
+        let mut sectors: Vec<Vec<DVec2>> = vec![Vec::new(); n];
+        for edge in edges {
+            sectors[sector(edge.at - centre, n)].push(edge.at);
+        }
+        sectors.retain(|s| !s.is_empty());
+        for sector in &mut sectors {
+            sector.sort_by(|a, b| (*b - centre).length().total_cmp(&(*a - centre).length()));
+        }
+        Self { sectors, random: 0x9E37_79B9_7F4A_7C15 ^ (((radius * 16.0) as u64) << 20) }
+    }
+
+    fn next(&mut self) -> DVec2 {
+        self.random ^= self.random << 13;
+        self.random ^= self.random >> 7;
+        self.random ^= self.random << 17;
+        let sector = &self.sectors[(self.random >> 20) as usize % self.sectors.len()];
+        // Every other draw takes the sector's edges alike: far from the rim outermost means texture.
+        let depth = match self.random & 1 {
+            0 => (self.random >> 40) as usize,
+            _ => (self.random >> 1 & 0xFFFF).trailing_ones() as usize,
+        };
+        sector[depth % sector.len()]
+    }
 }
 
 /// The support of a given circle; `None` if the frame shows less than a quarter of it.
@@ -263,20 +301,24 @@ pub fn measure(
     })
 }
 
-/// One edge for each sector: the nearest to the circle within `reach` px, if it runs along it.
-pub fn nearest_in_sectors(edges: &[Edge], circle: &Circle, reach: f64) -> Vec<DVec2> {
+/// One edge for each of many sectors: the outermost within `reach` px of the circle, along it.
+pub fn outermost_in_sectors(edges: &[Edge], circle: &Circle, reach: f64) -> Vec<DVec2> {
     let n = sectors(circle.radius) * 3;
-    let mut nearest: Vec<Option<(f64, DVec2)>> = vec![None; n];
+    let mut outermost: Vec<Option<(f64, DVec2)>> = vec![None; n];
     for edge in edges.iter().filter(|e| on_circle(e, circle.centre, circle.radius, reach)) {
         let out = edge.at - circle.centre;
-        let miss = (out.length() - circle.radius).abs();
-        let turn = out.to_angle().rem_euclid(2.0 * PI) / (2.0 * PI);
-        let slot = &mut nearest[((turn * n as f64) as usize).min(n - 1)];
-        if slot.is_none_or(|(least, _)| miss < least) {
-            *slot = Some((miss, edge.at));
+        let slot = &mut outermost[sector(out, n)];
+        if slot.is_none_or(|(most, _)| out.length() > most) {
+            *slot = Some((out.length(), edge.at));
         }
     }
-    nearest.into_iter().flatten().map(|(_, at)| at).collect()
+    outermost.into_iter().flatten().map(|(_, at)| at).collect()
+}
+
+/// Which of `n` sectors the direction `out` falls into.
+fn sector(out: DVec2, n: usize) -> usize {
+    let turn = out.to_angle().rem_euclid(2.0 * PI) / (2.0 * PI);
+    ((turn * n as f64) as usize).min(n - 1)
 }
 
 /// Sectors that a circle is divided into: of about three pixels, at most 120.
@@ -295,8 +337,7 @@ fn supported(edges: &[Edge], centre: DVec2, radius: f64, tolerance: f64) -> usiz
     let n = sectors(radius);
     let mut seen = [false; MAX_SECTORS];
     for edge in edges.iter().filter(|e| on_circle(e, centre, radius, tolerance)) {
-        let turn = (edge.at - centre).to_angle().rem_euclid(2.0 * PI) / (2.0 * PI);
-        seen[((turn * n as f64) as usize).min(n - 1)] = true;
+        seen[sector(edge.at - centre, n)] = true;
     }
     seen.iter().filter(|s| **s).count()
 }

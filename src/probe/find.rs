@@ -10,11 +10,12 @@
 use glam::{DVec2, DVec3};
 
 use super::ProbeError;
+use super::ball::{Ball, Mirror};
 use super::circles::{self, Circle, Frame};
 use super::edges::{self, Edge};
 use super::rim::{self, Rim};
 use super::unwrap::pixel_angle;
-use crate::camera::Lens;
+use crate::camera::{Camera, Lens};
 use crate::conventions::Rgb;
 use crate::photo::Image;
 
@@ -24,13 +25,20 @@ const COARSE_SIDES_PX: [usize; 2] = [320, 960];
 const LEAST_RADIUS_PX: f64 = 10.0;
 /// Radius at which the rim is fitted; larger balls are reduced to it.
 const FINE_RADIUS_PX: f64 = 450.0;
+/// Blur before edges are taken there: less tells the rim from what is squeezed along it.
+const FINE_SIGMA_PX: f64 = 0.7;
 /// Candidates looked at closely.
 const CANDIDATES: usize = 6;
 /// Support beyond chance below which nothing is called a ball. Balls in the photographs this was
 /// tried on reach 0.45 to 0.85, the best of other things 0.2 to 0.4.
 const LEAST_SCORE: f64 = 0.35;
+/// With a clean plate, a score below this makes the finder look again without it.
+const TRUSTED_SCORE: f64 = 0.5;
 /// How far edge points may be off the rim, px of the fine picture.
 const TOLERANCE_PX: f64 = 1.5;
+/// Edge points this near the circle stand for the rim, px of the fine picture. Wider lets the
+/// background in: at 4 px inliers fall from 0.92 to 0.75.
+const REACH_PX: f64 = 2.0;
 /// Doubt of a hint whose rim could not be measured: share of its radius.
 const HINT_SIGMA: f64 = 0.01;
 
@@ -60,28 +68,54 @@ pub struct BallImage {
     pub rival_px: Option<[f64; 3]>,
 }
 
+impl BallImage {
+    /// How far the rim is from where a known pose puts it: centre and radius (found − predicted), px.
+    ///
+    /// Beyond a few σ either the pose, the ball's place or size, or the rim is wrong. `None` if the
+    /// camera cannot see the ball there.
+    pub fn disagreement_px(&self, camera: &Camera, ball: &Ball) -> Option<(f64, f64)> {
+        let centre = camera.pose.inverse().transform_point3(ball.centre);
+        let half_angle = Mirror::new(centre, ball.radius)?.half_angle();
+        let pixel = pixel_angle(&camera.lens, self.rim.axis)?;
+        let apart = self.rim.axis.angle_between(centre.normalize());
+        Some((apart / pixel, (self.rim.half_angle_rad - half_angle) / pixel))
+    }
+}
+
 /// Finds the ball in scene-linear light.
 ///
 /// `picture` is a photograph, or a merged bracket (best: nothing is clipped); `lens` is its lens.
+/// A clean plate that does not help (another pose, another exposure's noise) is left aside.
 pub fn find(picture: &Image<Rgb>, lens: &Lens, hints: &Hints) -> Result<BallImage, ProbeError> {
     check(picture, hints)?;
+    let with_plate = match hints.clean_plate {
+        Some(_) => search(picture, lens, hints).ok().filter(|b| b.score > Some(TRUSTED_SCORE)),
+        None => None,
+    };
+    match with_plate {
+        Some(ball) => Ok(ball),
+        None => search(picture, lens, &Hints { clean_plate: None, ..*hints }),
+    }
+}
+
+/// [`find`] with checked hints.
+fn search(picture: &Image<Rgb>, lens: &Lens, hints: &Hints) -> Result<BallImage, ProbeError> {
     let plane = Plane { lens, width: picture.width(), height: picture.height() };
     let starts = match hints.circle_px {
         Some(hint) => vec![plane.circle(hint)?],
         None => candidates(picture, &plane, hints)?,
     };
-    let mut closer: Vec<(Circle, Vec<Edge>, f64)> =
+    let mut closer: Vec<Candidate> =
         starts.iter().filter_map(|start| look_closer(picture, &plane, hints, start)).collect();
-    closer.sort_by(|a, b| b.0.score().total_cmp(&a.0.score()));
+    closer.sort_by(|a, b| b.score().total_cmp(&a.score()));
     let wanted = if hints.circle_px.is_some() { 0.0 } else { LEAST_SCORE };
-    let fitted =
-        choose(&closer).filter(|(c, ..)| c.score() > wanted).map(|(circle, edges, pixel)| {
-            let rival = closer.iter().map(|c| c.0).find(|c| {
-                (c.centre - circle.centre).length() > circle.radius
-                    && c.score() > 0.85 * circle.score()
-            });
-            (fit(&plane, circle, edges, *pixel), circle.score(), rival)
+    let fitted = choose(&closer).filter(|c| c.score() > wanted).map(|chosen| {
+        let rival = closer.iter().find(|c| {
+            let apart = (c.circle.centre - chosen.circle.centre).length() > chosen.circle.radius;
+            apart && c.score() > 0.85 * chosen.score()
         });
+        (fit(&plane, chosen), chosen.score(), rival.map(|c| c.circle))
+    });
     match (fitted, hints.circle_px) {
         (Some((Ok(rim), score, rival)), _) => {
             let mut ball = describe(&plane, rim, Some(score))?;
@@ -261,14 +295,33 @@ fn candidates(
     Ok(distinct)
 }
 
-/// The rim near `start` at fine size: circle (picture-sized units), its edges, pixels of the
-/// picture per fine pixel.
+/// A circle looked at closely.
+struct Candidate {
+    /// In units of the picture's plane.
+    circle: Circle,
+    /// Score of the reduced picture; `None` for a hint.
+    start_score: Option<f64>,
+    /// Edge points round it, in fine pixels.
+    edges: Vec<Edge>,
+    /// Pixels of the picture in a fine pixel.
+    scale: f64,
+}
+
+impl Candidate {
+    /// Soft pictures score better when reduced, crowded ones when not.
+    fn score(&self) -> f64 {
+        let fine = self.circle.score();
+        (fine + self.start_score.unwrap_or(fine)) / 2.0
+    }
+}
+
+/// The rim near `start`, at fine size.
 fn look_closer(
     picture: &Image<Rgb>,
     plane: &Plane,
     hints: &Hints,
     start: &Circle,
-) -> Option<(Circle, Vec<Edge>, f64)> {
+) -> Option<Candidate> {
     let [u, v, r] = plane.to_picture(start)?;
     let factor = ((r / FINE_RADIUS_PX).round() as usize).max(1);
     let origin = ((DVec2::new(u, v) - 1.45 * r).max(DVec2::ZERO)).as_usizevec2();
@@ -282,7 +335,7 @@ fn look_closer(
         Image::from_fn(size.x, size.y, |x, y| picture[(origin.x + x, origin.y + y)])
     };
     let plate = hints.clean_plate.map(cut);
-    let found = edges::edges(&guide(&cut(picture), plate.as_ref(), factor), 1.0);
+    let found = edges::edges(&guide(&cut(picture), plate.as_ref(), factor), FINE_SIGMA_PX);
     let scale = factor as f64;
     let edges = plane.edges(&found, origin.as_dvec2(), scale);
     let shows = |p: DVec2| plane.shows(p * scale, 2.0 * scale);
@@ -290,34 +343,34 @@ fn look_closer(
     let frame = Frame { least, most: least, shows: &shows };
     let (centre, radius) = (start.centre / scale, start.radius / scale);
     let near = circles::refine(&edges, &frame, centre, radius, &circles::NEAR)?;
-    let fine = circles::refine(&edges, &frame, near.centre, near.radius, &circles::FINE)?;
-    Some((fine, edges, scale)).map(|(mut circle, edges, scale)| {
-        circle.centre *= scale;
-        circle.radius *= scale;
-        (circle, edges, scale)
-    })
+    let mut circle = circles::refine(&edges, &frame, near.centre, near.radius, &circles::FINE)?;
+    circle.centre *= scale;
+    circle.radius *= scale;
+    let start_score = hints.circle_px.is_none().then(|| start.score());
+    Some(Candidate { circle, start_score, edges, scale })
 }
 
 /// The best supported, or a wider one round it that is supported nearly as well.
-fn choose(closer: &[(Circle, Vec<Edge>, f64)]) -> Option<&(Circle, Vec<Edge>, f64)> {
+fn choose(closer: &[Candidate]) -> Option<&Candidate> {
     let best = closer.first()?;
     closer
         .iter()
-        .filter(|(c, ..)| {
-            let inside = (c.centre - best.0.centre).length() + best.0.radius < 1.05 * c.radius;
-            inside && c.score() > 0.8 * best.0.score()
+        .filter(|c| {
+            let between = (c.circle.centre - best.circle.centre).length();
+            let inside = between + best.circle.radius < 1.05 * c.circle.radius;
+            inside && c.score() > 0.8 * best.score()
         })
-        .max_by(|a, b| a.0.radius.total_cmp(&b.0.radius))
+        .max_by(|a, b| a.circle.radius.total_cmp(&b.circle.radius))
         .or(Some(best))
 }
 
-/// The cone through the edge points along `circle`.
-fn fit(plane: &Plane, circle: &Circle, edges: &[Edge], scale: f64) -> Result<Rim, ProbeError> {
-    let small = Circle { centre: circle.centre / scale, radius: circle.radius / scale, ..*circle };
-    let reach = (0.02 * small.radius).max(4.0);
-    let rays: Vec<DVec3> = circles::nearest_in_sectors(edges, &small, reach)
+/// The cone through the edge points along a circle.
+fn fit(plane: &Plane, candidate: &Candidate) -> Result<Rim, ProbeError> {
+    let Candidate { circle, edges, scale, .. } = candidate;
+    let small = Circle { centre: circle.centre / *scale, radius: circle.radius / scale, ..*circle };
+    let rays: Vec<DVec3> = circles::outermost_in_sectors(edges, &small, REACH_PX)
         .into_iter()
-        .map(|p| plane.ray(p * scale))
+        .map(|p| plane.ray(p * *scale))
         .collect();
     let pixel = pixel_angle(plane.lens, plane.ray(circle.centre))
         .ok_or_else(|| ProbeError::NoBall { reason: "it lies outside the lens's field".into() })?;
@@ -357,7 +410,6 @@ fn describe(plane: &Plane, rim: Rim, score: Option<f64>) -> Result<BallImage, Pr
 mod tests {
     use super::*;
     use crate::camera::Distortion;
-    use crate::probe::ball::Mirror;
 
     /// A street: checkered ground, a bright sky with a darker band, walls on two sides.
     fn world(d: DVec3) -> Rgb {

@@ -11,9 +11,12 @@ pub mod ball;
 pub mod circles;
 pub mod clipped;
 pub mod edges;
+pub mod file;
 pub mod fill;
 pub mod find;
+pub mod fisheye;
 pub mod mapping;
+pub mod overlay;
 pub mod panorama;
 pub mod resample;
 pub mod rim;
@@ -48,6 +51,10 @@ pub enum ProbeError {
     Value { what: &'static str, found: String, expected: &'static str },
     #[error("{}: {width} × {height} is not a lat-long picture: the width must be twice the height; if it is an angular map or a cube, say so (mapping = \"angular\")", path.display())]
     NotLatLong { path: PathBuf, width: usize, height: usize },
+    #[error("{}: {width} × {height} is not {wanted}; name the mapping the file really has", path.display())]
+    Layout { path: PathBuf, width: usize, height: usize, wanted: &'static str },
+    #[error(transparent)]
+    Photo(#[from] crate::photo::PhotoError),
     #[error("{}: {n} pixels are not finite, the first at ({x}, {y}); repair the picture (NaN and infinity poison every sum of light)", path.display())]
-    NotFinite { path: PathBuf, n: usize, x: usize, y: usize },
+    NotFinite { path: PathBuf, n: u64, x: usize, y: usize },
 }

@@ -50,11 +50,7 @@ pub fn unwrap_ball(
     support: Option<&Support>,
     width: usize,
 ) -> Result<Panorama, ProbeError> {
-    if width < 16 || width % 2 == 1 || width > 1 << 15 {
-        let found = width.to_string();
-        let expected = "an even number from 16 to 32768";
-        return Err(ProbeError::Value { what: "panorama width", found, expected });
-    }
+    check_width(width)?;
     let view = BallView::new(camera, rim, ball, support)?;
     let camera_from_world = view.world_from_camera.transpose();
     let mut panorama = to_lat_long(radiance, &view, camera_from_world, width);
@@ -84,6 +80,16 @@ pub fn unwrap_ball(
     }
     fill::from_around(&mut panorama, &gap);
     Ok(panorama)
+}
+
+/// Refuses widths that no lat-long of ours has.
+pub fn check_width(width: usize) -> Result<(), ProbeError> {
+    if width < 16 || width % 2 == 1 || width > 1 << 15 {
+        let found = width.to_string();
+        let expected = "an even number from 16 to 32768";
+        return Err(ProbeError::Value { what: "panorama width", found, expected });
+    }
+    Ok(())
 }
 
 /// Width at which a texel is about one pixel of the ball's middle: a power of two, 256…4096.

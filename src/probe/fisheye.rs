@@ -1,0 +1,204 @@
+//! Fisheye photographs: the four textbook projections.
+//!
+//! r(θ) = fθ, 2f sin(θ/2), 2f tan(θ/2), f sin θ; solid angle per pixel area `sin θ/(r dr/dθ)`. Axes are
+//! the camera's: −Z in the middle, +Y up. Lenses measured with a board (Kannala–Brandt) go through
+//! [`Through`](super::mapping::Through).
+
+use std::f64::consts::PI;
+
+use glam::{DVec2, DVec3};
+
+use super::ProbeError;
+use super::mapping::{Mapping, from_axis};
+
+/// How the distance from the middle grows with the angle θ off the axis.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Projection {
+    /// r = f θ
+    Equidistant,
+    /// r = 2 f sin(θ/2)
+    Equisolid,
+    /// r = 2 f tan(θ/2)
+    Stereographic,
+    /// r = f sin θ, up to 90°
+    Orthographic,
+}
+
+impl Projection {
+    /// r/f.
+    fn radius(self, theta: f64) -> f64 {
+        match self {
+            Self::Equidistant => theta,
+            Self::Equisolid => 2.0 * (theta / 2.0).sin(),
+            Self::Stereographic => 2.0 * (theta / 2.0).tan(),
+            Self::Orthographic => theta.sin(),
+        }
+    }
+
+    fn angle(self, radius: f64) -> f64 {
+        match self {
+            Self::Equidistant => radius,
+            Self::Equisolid => 2.0 * (radius / 2.0).clamp(-1.0, 1.0).asin(),
+            Self::Stereographic => 2.0 * (radius / 2.0).atan(),
+            Self::Orthographic => radius.clamp(-1.0, 1.0).asin(),
+        }
+    }
+
+    /// d(r/f)/dθ.
+    fn rate(self, theta: f64) -> f64 {
+        match self {
+            Self::Equidistant => 1.0,
+            Self::Equisolid => (theta / 2.0).cos(),
+            Self::Stereographic => (theta / 2.0).cos().powi(-2),
+            Self::Orthographic => theta.cos(),
+        }
+    }
+
+    /// Largest angle off the axis that it can show, radians.
+    fn limit(self) -> f64 {
+        match self {
+            Self::Equidistant | Self::Equisolid => PI,
+            Self::Stereographic => 0.95 * PI,
+            Self::Orthographic => PI / 2.0,
+        }
+    }
+}
+
+/// A fisheye photograph's image circle.
+///
+/// # Guarantees
+/// Positive focal length; a field that the projection can show.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Fisheye {
+    projection: Projection,
+    focal_px: f64,
+    centre: DVec2,
+    /// Largest angle off the axis that is used, radians.
+    edge_rad: f64,
+}
+
+impl Fisheye {
+    /// The fisheye whose image circle (`centre`, `radius_px`) spans `fov_deg` from edge to edge.
+    pub fn new(
+        projection: Projection,
+        fov_deg: f64,
+        centre: DVec2,
+        radius_px: f64,
+    ) -> Result<Self, ProbeError> {
+        let edge_rad = fov_deg.to_radians() / 2.0;
+        if !(edge_rad > 0.0 && edge_rad <= projection.limit() + 1e-9) {
+            return Err(ProbeError::Value {
+                what: "the fisheye's field (fov_deg)",
+                found: format!("{fov_deg}°"),
+                expected: "above 0° and within 180° (orthographic), 342° (stereographic) or 360°",
+            });
+        }
+        if !(radius_px >= 1.0 && radius_px.is_finite() && centre.is_finite()) {
+            return Err(ProbeError::Value {
+                what: "the fisheye's image circle (circle_px)",
+                found: format!("{centre}, {radius_px}"),
+                expected: "a centre u, v and a radius of at least one pixel",
+            });
+        }
+        let focal_px = radius_px / projection.radius(edge_rad);
+        Ok(Self { projection, focal_px, centre, edge_rad })
+    }
+
+    /// The fisheye whose image circle is inscribed in a `width` × `height` picture.
+    pub fn inscribed(
+        projection: Projection,
+        fov_deg: f64,
+        width: usize,
+        height: usize,
+    ) -> Result<Self, ProbeError> {
+        let centre = DVec2::new(width as f64 - 1.0, height as f64 - 1.0) / 2.0;
+        Self::new(projection, fov_deg, centre, width.min(height) as f64 / 2.0)
+    }
+}
+
+impl Mapping for Fisheye {
+    fn pixel(&self, direction: DVec3) -> Option<DVec2> {
+        let sideways = DVec2::new(direction.x, -direction.y);
+        let theta = sideways.length().atan2(-direction.z);
+        // A little past the edge, so that texels on it interpolate.
+        (theta < self.projection.limit().min(self.edge_rad * 1.02)).then(|| {
+            let way = sideways.try_normalize().unwrap_or(DVec2::X);
+            self.centre + way * (self.focal_px * self.projection.radius(theta))
+        })
+    }
+
+    fn direction(&self, pixel: DVec2) -> Option<DVec3> {
+        let p = (pixel - self.centre) / self.focal_px;
+        let r = p.length();
+        (r <= self.projection.radius(self.edge_rad) * (1.0 + 1e-12))
+            .then(|| from_axis(self.projection.angle(r), p))
+    }
+
+    fn solid_angle(&self, pixel: DVec2) -> Option<f64> {
+        let r = (pixel - self.centre).length() / self.focal_px;
+        if r > self.projection.radius(self.edge_rad) {
+            return None;
+        }
+        let theta = self.projection.angle(r);
+        let ratio = if theta > 1e-7 { theta.sin() / r } else { 1.0 };
+        Some(ratio / self.projection.rate(theta).max(1e-6) / self.focal_px.powi(2))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const ALL: [(Projection, f64); 4] = [
+        (Projection::Equidistant, 220.0),
+        (Projection::Equisolid, 220.0),
+        (Projection::Stereographic, 220.0),
+        (Projection::Orthographic, 180.0),
+    ];
+
+    #[test]
+    fn pixels_invert_directions() {
+        for (projection, fov) in ALL {
+            let fisheye = Fisheye::inscribed(projection, fov, 1000, 900).unwrap();
+            for k in 0..500 {
+                let theta = 0.499 * fov.to_radians() * (k as f64 / 499.0).sqrt();
+                let direction = from_axis(theta, DVec2::from_angle(k as f64));
+                let back = fisheye.direction(fisheye.pixel(direction).unwrap()).unwrap();
+                assert!(back.angle_between(direction) < 1e-6, "{projection:?} {theta}");
+            }
+        }
+    }
+
+    #[test]
+    fn solid_angles_add_up_to_the_cap() {
+        for (projection, fov) in ALL {
+            let fisheye = Fisheye::inscribed(projection, fov, 600, 600).unwrap();
+            let sum: f64 = (0..600 * 600)
+                .filter_map(|k| fisheye.solid_angle(DVec2::new((k % 600) as f64, (k / 600) as f64)))
+                .sum();
+            let cap = 2.0 * PI * (1.0 - (fov.to_radians() / 2.0).cos());
+            // The orthographic edge is infinitely steep.
+            let tolerance = if projection == Projection::Orthographic { 2e-2 } else { 3e-3 };
+            assert!((sum / cap - 1.0).abs() < tolerance, "{projection:?}: {sum} of {cap}");
+        }
+    }
+
+    #[test]
+    fn up_is_up_and_right_is_right() {
+        let fisheye = Fisheye::inscribed(Projection::Equidistant, 180.0, 401, 401).unwrap();
+        let at = |d: DVec3| fisheye.pixel(d).unwrap();
+        assert!((at(DVec3::NEG_Z) - 200.0).length() < 1e-12);
+        assert!((at(DVec3::X) - DVec2::new(400.5, 200.0)).length() < 1e-9);
+        assert!((at(DVec3::Y) - DVec2::new(200.0, -0.5)).length() < 1e-9);
+        assert!(fisheye.pixel(DVec3::Z).is_none());
+    }
+
+    #[test]
+    fn impossible_fields_and_circles_are_refused() {
+        let new = |p, fov, r| Fisheye::new(p, fov, DVec2::ZERO, r);
+        assert!(new(Projection::Orthographic, 190.0, 100.0).is_err());
+        assert!(new(Projection::Equisolid, f64::NAN, 100.0).is_err());
+        assert!(new(Projection::Equidistant, -3.0, 100.0).is_err());
+        assert!(new(Projection::Equidistant, 180.0, 0.0).is_err());
+    }
+}
