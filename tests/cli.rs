@@ -1,0 +1,233 @@
+//! The program as a person meets it: help, exit codes, messages, and nothing written on an error.
+
+mod tiny;
+
+use std::path::{Path, PathBuf};
+use std::process::Output;
+
+use assert_cmd::Command;
+use tiny::{Plate, write_cube, write_shot};
+
+fn platelight(arguments: &[&str]) -> Output {
+    Command::cargo_bin("platelight")
+        .expect("the program is built")
+        .args(arguments)
+        .output()
+        .expect("the program starts")
+}
+
+fn stderr(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stderr).into_owned()
+}
+
+fn stdout(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stdout).into_owned()
+}
+
+fn text(path: &Path) -> &str {
+    path.to_str().expect("a plain temporary folder")
+}
+
+/// Names of all commands, from the program's own help.
+fn commands() -> Vec<String> {
+    let help = stdout(&platelight(&["--help"]));
+    let list = help.split("Commands:").nth(1).expect("help lists commands");
+    list.lines()
+        .skip(1)
+        .take_while(|line| line.starts_with("  "))
+        .filter(|line| !line.starts_with("   "))
+        .filter_map(|line| line.split_whitespace().next().map(str::to_owned))
+        .filter(|name| name != "help")
+        .collect()
+}
+
+#[test]
+fn every_command_explains_itself_with_an_example() {
+    let commands = commands();
+    for expected in ["run", "check", "batch"] {
+        assert!(commands.iter().any(|name| name == expected), "no {expected} in {commands:?}");
+    }
+    for command in commands {
+        let output = platelight(&[&command, "--help"]);
+        assert_eq!(output.status.code(), Some(0));
+        let help = stdout(&output);
+        assert!(help.contains("Example"), "{command} --help has no example");
+        assert!(help.contains(&format!("platelight {command}")), "{command}'s example is another's");
+    }
+}
+
+#[test]
+fn wrong_usage_is_exit_code_2() {
+    for arguments in [
+        &["rnu"][..],
+        &["run"],
+        &["check", "nowhere/shot.toml"],
+        &["batch", "nowhere"],
+        &["--threads", "0", "check", "nowhere"],
+        &["run", "nowhere", "--error", "-1"],
+    ] {
+        let output = platelight(arguments);
+        assert_eq!(output.status.code(), Some(2), "{arguments:?}");
+        assert!(output.stdout.is_empty() && !output.stderr.is_empty(), "{arguments:?}");
+    }
+}
+
+#[test]
+fn unknown_keys_name_file_line_and_the_nearest_key() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let shot = write_shot(folder.path(), Plate::Png8, "");
+    let misspelt = std::fs::read_to_string(&shot).expect("shot").replace("relative_", "relativ_");
+    std::fs::write(&shot, misspelt).expect("shot");
+    let output = platelight(&["run", text(folder.path())]);
+    assert_eq!(output.status.code(), Some(2));
+    let said = stderr(&output);
+    let expected = "shot.toml:3: plate.relativ_exposure: unknown key; did you mean `plate.relative_exposure`?";
+    assert!(said.contains(expected), "{said}");
+    assert!(!folder.path().join("out").exists(), "something was written");
+}
+
+#[test]
+fn missing_files_are_told_together_and_nothing_is_written() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let objects = "[[object]]\nfile = \"robot.glb\"\n[[local]]\nfile = \"props.glb\"\n";
+    write_shot(folder.path(), Plate::Png8, objects);
+    for file in ["plate.png", "panorama.exr"] {
+        std::fs::remove_file(folder.path().join(file)).expect("it was written");
+    }
+    for command in ["check", "run"] {
+        let output = platelight(&[command, text(folder.path())]);
+        assert_eq!(output.status.code(), Some(2));
+        let said = stderr(&output);
+        for (key, file) in [
+            ("plate.file", "plate.png"),
+            ("probe.panorama.file", "panorama.exr"),
+            ("object[0].file", "robot.glb"),
+            ("local[0].file", "props.glb"),
+        ] {
+            let named = said.lines().any(|line| {
+                line.contains(key) && line.contains(file) && line.contains("does not exist")
+            });
+            assert!(named, "{key} {file} is not in:\n{said}");
+        }
+        assert!(!folder.path().join("out").exists(), "something was written");
+    }
+}
+
+#[test]
+fn errors_are_json_too_when_asked() {
+    let output = platelight(&["check", "nowhere", "--json"]);
+    let json: serde_json::Value = serde_json::from_slice(&output.stdout).expect("JSON on stdout");
+    assert!(json["errors"][0].as_str().expect("a sentence").contains("nowhere"));
+}
+
+#[test]
+fn a_run_leaves_all_its_files_and_tells_json() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let cube = write_cube(folder.path(), 0.15);
+    write_shot(folder.path(), Plate::Png8, &cube);
+    let out = folder.path().join("results");
+    let arguments = ["run", text(folder.path()), "--out", text(&out), "--json", "--quiet"];
+    let output = platelight(&arguments);
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+    assert!(output.stderr.is_empty(), "quiet is quiet: {}", stderr(&output));
+    let report: serde_json::Value = serde_json::from_slice(&output.stdout).expect("JSON");
+    for key in ["camera", "pose", "probe", "lights", "render", "composite", "budget", "warnings"] {
+        assert!(report.get(key).is_some(), "report has no {key}");
+    }
+    for name in [
+        "composite.exr",
+        "composite.png",
+        "camera.json",
+        "panorama.exr",
+        "report.json",
+        "report.html",
+        "overlay_support.png",
+    ] {
+        assert!(out.join(name).is_file(), "no {name}");
+    }
+    let hidden = std::fs::read_dir(&out).expect("out").flatten();
+    let left: Vec<PathBuf> = hidden
+        .map(|entry| entry.path())
+        .filter(|path| path.file_name().is_some_and(|n| n.to_string_lossy().starts_with('.')))
+        .collect();
+    assert!(left.is_empty(), "temporary files are left: {left:?}");
+
+    // Complete and from the same inputs: nothing to do. A cut file is made anew.
+    let again = [&arguments[..], &["--skip-existing"]].concat();
+    let exr = out.join("composite.exr");
+    let written = || std::fs::metadata(&exr).and_then(|m| m.modified()).expect("composite.exr");
+    let before = written();
+    assert_eq!(platelight(&again).status.code(), Some(0));
+    assert_eq!(written(), before, "it was rendered again");
+    std::fs::write(&exr, "cut").expect("composite.exr");
+    assert_eq!(platelight(&again).status.code(), Some(0));
+    assert!(std::fs::metadata(&exr).expect("composite.exr").len() > 1000, "it was left cut");
+}
+
+#[test]
+fn one_bad_shot_stops_nothing_and_is_told() {
+    let folder = tempfile::tempdir().expect("a folder");
+    write_shot(&folder.path().join("a-good"), Plate::Png8, "");
+    let bad = write_shot(&folder.path().join("b-bad"), Plate::Png8, "");
+    std::fs::remove_file(bad.with_file_name("plate.png")).expect("it was written");
+    write_shot(&folder.path().join("c-good"), Plate::Png8, "");
+    let output = platelight(&["batch", text(folder.path())]);
+    assert_eq!(output.status.code(), Some(1), "{}", stderr(&output));
+    let table = stdout(&output);
+    assert!(table.contains("done") && table.contains("failed") && table.contains("plate.png"));
+    for (name, there) in [("a-good", true), ("b-bad", false), ("c-good", true)] {
+        assert_eq!(folder.path().join(name).join("out/composite.png").is_file(), there, "{name}");
+    }
+    let summary = std::fs::read(folder.path().join("batch.json")).expect("batch.json");
+    let summary: serde_json::Value = serde_json::from_slice(&summary).expect("JSON");
+    let status: Vec<_> =
+        (0..3).map(|i| summary["shots"][i]["status"].as_str().expect("a status")).collect();
+    assert_eq!(status, ["done", "failed", "done"]);
+}
+
+#[test]
+fn a_batch_of_bad_shots_is_exit_code_2_and_writes_nothing() {
+    let folder = tempfile::tempdir().expect("a folder");
+    for name in ["a", "b"] {
+        let shot = write_shot(&folder.path().join(name), Plate::Png8, "");
+        std::fs::remove_file(shot.with_file_name("camera.json")).expect("it was written");
+    }
+    let output = platelight(&["batch", text(folder.path())]);
+    assert_eq!(output.status.code(), Some(2));
+    assert!(!folder.path().join("batch.json").exists());
+}
+
+#[test]
+fn frames_of_a_sequence_are_run_one_by_one_and_a_missing_one_is_told() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let shot = write_shot(folder.path(), Plate::ExrHalf, "");
+    for frame in [1001, 1003] {
+        let name = folder.path().join(format!("plate.{frame}.exr"));
+        std::fs::copy(folder.path().join("plate.exr"), name).expect("a frame");
+    }
+    let text_of = std::fs::read_to_string(&shot).expect("shot");
+    let sequence =
+        text_of.replace("\"plate.exr\"", "\"plate.####.exr\"\nframes = \"1001-1003\"");
+    std::fs::write(&shot, sequence).expect("shot");
+    let output = platelight(&["run", text(folder.path())]);
+    assert_eq!(output.status.code(), Some(1), "{}", stderr(&output));
+    assert!(stderr(&output).contains("plate.1002.exr"), "{}", stderr(&output));
+    assert!(folder.path().join("out/composite.1001.exr").is_file());
+    assert!(!folder.path().join("out/composite.1002.exr").exists());
+    assert!(folder.path().join("out/report.1003.json").is_file());
+}
+
+#[test]
+fn the_truth_shots_are_understood_as_they_are() {
+    let shared = std::env::var("PLATELIGHT_SHARED")
+        .map_or_else(|_| Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared"), PathBuf::from);
+    for scene in ["overcast-soft", "outdoor-sun", "indoor-window"] {
+        let shot = shared.join("truth").join(scene).join("shot.toml");
+        if !shot.is_file() {
+            eprintln!("{} is not here; skipped", shot.display());
+            return;
+        }
+        let file = platelight::shot::ShotFile::read(&shot).expect("the shot file is given and fixed");
+        assert_eq!(file.objects.len(), 1);
+    }
+}
