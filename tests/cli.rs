@@ -52,7 +52,10 @@ fn every_command_explains_itself_with_an_example() {
         assert_eq!(output.status.code(), Some(0));
         let help = stdout(&output);
         assert!(help.contains("Example"), "{command} --help has no example");
-        assert!(help.contains(&format!("platelight {command}")), "{command}'s example is another's");
+        assert!(
+            help.contains(&format!("platelight {command}")),
+            "{command}'s example is another's"
+        );
     }
 }
 
@@ -81,7 +84,8 @@ fn unknown_keys_name_file_line_and_the_nearest_key() {
     let output = platelight(&["run", text(folder.path())]);
     assert_eq!(output.status.code(), Some(2));
     let said = stderr(&output);
-    let expected = "shot.toml:3: plate.relativ_exposure: unknown key; did you mean `plate.relative_exposure`?";
+    let expected =
+        "shot.toml:3: plate.relativ_exposure: unknown key; did you mean `plate.relative_exposure`?";
     assert!(said.contains(expected), "{said}");
     assert!(!folder.path().join("out").exists(), "something was written");
 }
@@ -124,7 +128,7 @@ fn errors_are_json_too_when_asked() {
 fn a_run_leaves_all_its_files_and_tells_json() {
     let folder = tempfile::tempdir().expect("a folder");
     let cube = write_cube(folder.path(), 0.15);
-    write_shot(folder.path(), Plate::Png8, &cube);
+    write_shot(folder.path(), Plate::Png16, &cube);
     let out = folder.path().join("results");
     let arguments = ["run", text(folder.path()), "--out", text(&out), "--json", "--quiet"];
     let output = platelight(&arguments);
@@ -167,7 +171,7 @@ fn a_run_leaves_all_its_files_and_tells_json() {
 #[test]
 fn one_bad_shot_stops_nothing_and_is_told() {
     let folder = tempfile::tempdir().expect("a folder");
-    write_shot(&folder.path().join("a-good"), Plate::Png8, "");
+    write_shot(&folder.path().join("a-good"), Plate::ExrFloat, "");
     let bad = write_shot(&folder.path().join("b-bad"), Plate::Png8, "");
     std::fs::remove_file(bad.with_file_name("plate.png")).expect("it was written");
     write_shot(&folder.path().join("c-good"), Plate::Png8, "");
@@ -206,8 +210,7 @@ fn frames_of_a_sequence_are_run_one_by_one_and_a_missing_one_is_told() {
         std::fs::copy(folder.path().join("plate.exr"), name).expect("a frame");
     }
     let text_of = std::fs::read_to_string(&shot).expect("shot");
-    let sequence =
-        text_of.replace("\"plate.exr\"", "\"plate.####.exr\"\nframes = \"1001-1003\"");
+    let sequence = text_of.replace("\"plate.exr\"", "\"plate.####.exr\"\nframes = \"1001-1003\"");
     std::fs::write(&shot, sequence).expect("shot");
     let output = platelight(&["run", text(folder.path())]);
     assert_eq!(output.status.code(), Some(1), "{}", stderr(&output));
@@ -227,7 +230,8 @@ fn the_truth_shots_are_understood_as_they_are() {
             eprintln!("{} is not here; skipped", shot.display());
             return;
         }
-        let file = platelight::shot::ShotFile::read(&shot).expect("the shot file is given and fixed");
+        let file =
+            platelight::shot::ShotFile::read(&shot).expect("the shot file is given and fixed");
         assert_eq!(file.objects.len(), 1);
     }
 }

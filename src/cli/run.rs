@@ -6,7 +6,7 @@ use super::terminal::Terminal;
 use super::{CliError, Global, Outcome};
 use crate::report::summary;
 use crate::shot::batch::out_folder;
-use crate::shot::run::{RunOptions, run_frames};
+use crate::shot::run::{RunError, RunOptions, run_frames};
 use crate::shot::{ShotFile, file::StopKeys};
 
 /// Put the objects of a shot into its plate
@@ -87,6 +87,7 @@ pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
                 }
                 reports.extend(finished.report);
             }
+            Err(RunError::Interrupted) => outcome = Outcome::Interrupted,
             Err(error) => problems.extend(error.problems()),
         }
     }
@@ -96,10 +97,11 @@ pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
     for problem in &problems {
         global.warn(problem);
     }
-    if !problems.is_empty() {
+    if !problems.is_empty() && outcome == Outcome::Done {
         outcome = Outcome::PartFailed;
     }
     match reports.as_slice() {
+        [] => {}
         [report] => global.print(report, || summary(report)),
         _ => global.print(&reports, || format!("{} frames in {}", reports.len(), out.display())),
     }

@@ -142,6 +142,7 @@ fn run_one(
             };
             (status, Vec::new(), finished.warnings)
         }
+        Ok(Err(RunError::Interrupted)) => (Status::Interrupted, Vec::new(), 0),
         Ok(Err(error)) => (Status::Failed, error.problems(), 0),
         Err(_) => {
             let sentence = format!(

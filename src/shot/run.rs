@@ -125,6 +125,7 @@ fn run_one(
         shot.render.stop = stop;
     }
     let settings = serde_json::to_value(&shot).unwrap_or_default();
+    check_folder(&files.folder)?;
     let mut stopwatch = Stopwatch::new();
     stopwatch.begin("read the shot", watch);
     let plan = Plan::make(shot).map_err(RunError::Problems)?;
@@ -145,9 +146,6 @@ fn run_one(
     }
 
     stopwatch.begin("render", watch);
-    let folder = &files.folder;
-    std::fs::create_dir_all(folder)
-        .map_err(|cause| RunError::Folder { folder: folder.clone(), cause })?;
     let (difference, render) = render_shot(&plan, &prepared, files, context, watch)?;
 
     stopwatch.begin("composite and report", watch);
@@ -160,6 +158,20 @@ fn run_one(
         warnings: report.warnings.len(),
         report: Some(Box::new(report)),
     })
+}
+
+/// A file in the way of the folder for the results is found before any work.
+fn check_folder(folder: &Path) -> Result<(), RunError> {
+    if folder.exists() && !folder.is_dir() {
+        let cause = std::io::ErrorKind::NotADirectory.into();
+        return Err(RunError::Folder { folder: folder.to_owned(), cause });
+    }
+    Ok(())
+}
+
+fn make_folder(folder: &Path) -> Result<(), RunError> {
+    std::fs::create_dir_all(folder)
+        .map_err(|cause| RunError::Folder { folder: folder.to_owned(), cause })
 }
 
 /// Renders until the stopping rule is met; the first wave's picture is written at once.
@@ -184,6 +196,7 @@ fn render_shot(
     };
     if plan.objects.is_empty() {
         let (width, height) = (plan.plate.linear.width(), plan.plate.linear.height());
+        make_folder(&files.folder)?;
         return Ok((nothing(width, height), report));
     }
     let job = Job {
@@ -195,6 +208,7 @@ fn render_shot(
         numbers: Numbers::default(),
     };
     let mut integrator = render::integrator(prepared.method, job)?;
+    make_folder(&files.folder)?;
     let mode = mode(plan).0;
     loop {
         let wave = integrator.next_wave(context);

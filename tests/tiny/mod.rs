@@ -76,8 +76,7 @@ fn write_plate(folder: &Path, plate: Plate) -> &'static str {
             write_png(Samples::U16 { channels: 3, data })
         }
         Plate::ExrFloat | Plate::ExrHalf => {
-            let mut picture =
-                ExrPicture { width: WIDTH, height: HEIGHT, ..ExrPicture::default() };
+            let mut picture = ExrPicture { width: WIDTH, height: HEIGHT, ..ExrPicture::default() };
             for (c, name) in ["R", "G", "B"].into_iter().enumerate() {
                 let values = (0..WIDTH * HEIGHT).map(|i| value(3 * i + c));
                 picture.push(
