@@ -284,6 +284,7 @@ impl Reader<'_> {
     fn finish(mut self) -> Model {
         self.model.textures = self.materials.textures;
         self.model.warnings.extend(self.materials.warnings);
+        self.model.mend_solids();
         if self.model.n_triangles() == 0 {
             self.model.warnings.push("it holds no triangles: nothing of it can be seen".into());
         }

@@ -220,7 +220,8 @@ fn materials_carry_their_extensions() {
     let more = format!(r#"{ONE_NODE},"materials":[{material}]"#);
     let body = triangle(r#","material":0"#, POSITIONS, VIEW, &more);
     let model = read_with(&body, &floats(&CORNERS)).unwrap();
-    assert!(model.warnings.is_empty(), "{:?}", model.warnings);
+    // One triangle of solid glass is not closed.
+    assert!(model.warnings.len() == 1 && model.warnings[0].contains("3 open edges"));
     let at = model.materials[0].evaluate(&[], [Vec2::ZERO; 2], Vec4::ONE);
     assert_eq!(at.base_colour, Vec3::new(0.5, 0.25, 1.0));
     assert_eq!((at.alpha, at.metallic, at.roughness, at.double_sided), (1.0, 0.0, 0.3, true));

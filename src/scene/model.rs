@@ -1,5 +1,7 @@
 //! [`Model`]: a mesh file in memory, before it is placed.
 
+use std::collections::HashMap;
+
 use glam::{DAffine3, DVec3, Vec2, Vec3, Vec4};
 
 use super::{Material, Texture};
@@ -53,7 +55,71 @@ impl Model {
     }
 }
 
+impl Model {
+    /// Turns solids (refracting materials) inside out that were exported so, and warns of open ones.
+    ///
+    /// A ray knows by the winding whether it enters or leaves glass: an inverted bowl would bend
+    /// light as an air bubble in glass does, an open one would let it in and not out.
+    pub(super) fn mend_solids(&mut self) {
+        let Self { meshes, materials, warnings, .. } = self;
+        for mesh in meshes.iter_mut() {
+            let material = &materials[mesh.material];
+            if !material.solid || material.transmission == 0.0 {
+                continue;
+            }
+            let n_open = mesh.open_edges();
+            if n_open > 0 {
+                warnings.push(format!(
+                    "{:?} refracts but is not closed ({n_open} open edges): light that goes in \
+                     there does not come out right",
+                    mesh.name
+                ));
+            } else if mesh.signed_volume() < 0.0 {
+                for triangle in &mut mesh.triangles {
+                    triangle.swap(1, 2);
+                }
+                warnings.push(format!("{:?} refracts and was inside out; it is turned", mesh.name));
+            }
+        }
+    }
+}
+
 impl ModelMesh {
+    /// Edges that no neighbour goes along in the other direction; 0 of a closed, evenly wound mesh.
+    ///
+    /// Corners at the same place are one, whatever their normals and texture coordinates.
+    fn open_edges(&self) -> usize {
+        let mut places: HashMap<[u64; 3], u32> = HashMap::new();
+        let place_of: Vec<u32> = self
+            .positions
+            .iter()
+            .map(|p| {
+                let next = places.len() as u32;
+                // + 0.0 makes −0 and 0 one place.
+                *places.entry(p.to_array().map(|x| (x + 0.0).to_bits())).or_insert(next)
+            })
+            .collect();
+        let mut balance: HashMap<(u32, u32), i32> = HashMap::new();
+        for triangle in &self.triangles {
+            let corners = triangle.map(|i| place_of[i as usize]);
+            for (from, to) in [(0, 1), (1, 2), (2, 0)].map(|(i, j)| (corners[i], corners[j])) {
+                let turn = if from < to { 1 } else { -1 };
+                *balance.entry((from.min(to), from.max(to))).or_insert(0) += turn;
+            }
+        }
+        balance.values().filter(|&&sum| sum != 0).count()
+    }
+
+    /// Volume that a closed mesh holds, negative if its corners run clockwise seen from outside.
+    fn signed_volume(&self) -> f64 {
+        let Some(&origin) = self.positions.first() else { return 0.0 };
+        let volume = |t: &[u32; 3]| {
+            let [a, b, c] = t.map(|i| self.positions[i as usize] - origin);
+            a.cross(b).dot(c) / 6.0
+        };
+        self.triangles.iter().map(volume).sum()
+    }
+
     /// Makes the guarantees true after reading: drops what cannot be used and says what it was.
     ///
     /// `place` names the mesh in the warnings. Indices must already be in range.
@@ -151,5 +217,52 @@ fn mend_values<T: Copy>(values: &mut [T], is_finite: impl Fn(T) -> bool, instead
         if !is_finite(*value) {
             *value = instead;
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn glass_tetrahedron() -> Model {
+        let material = Material { transmission: 1.0, solid: true, ..Material::default() };
+        // Corners doubled as exporters do it for flat normals.
+        let corners = [DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z];
+        let faces = [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]];
+        let mut mesh = ModelMesh::default();
+        for face in faces {
+            let first = mesh.positions.len() as u32;
+            mesh.positions.extend(face.map(|i: usize| corners[i]));
+            mesh.triangles.push([first, first + 1, first + 2]);
+        }
+        Model { meshes: vec![mesh], materials: vec![material], ..Model::default() }
+    }
+
+    #[test]
+    fn glass_that_is_inside_out_is_turned_and_open_glass_is_told() {
+        let mut good = glass_tetrahedron();
+        good.mend_solids();
+        assert!(good.warnings.is_empty(), "{:?}", good.warnings);
+        assert!((good.meshes[0].signed_volume() - 1.0 / 6.0).abs() < 1e-12);
+
+        let mut inverted = glass_tetrahedron();
+        inverted.meshes[0].triangles.iter_mut().for_each(|t| t.swap(0, 1));
+        inverted.mend_solids();
+        assert!(inverted.warnings[0].contains("inside out"), "{:?}", inverted.warnings);
+        assert!(inverted.meshes[0].signed_volume() > 0.0);
+
+        let mut open = glass_tetrahedron();
+        open.meshes[0].triangles.pop();
+        open.mend_solids();
+        assert!(open.warnings[0].contains("3 open edges"), "{:?}", open.warnings);
+    }
+
+    #[test]
+    fn opaque_things_may_be_open() {
+        let mut model = glass_tetrahedron();
+        model.materials[0].transmission = 0.0;
+        model.meshes[0].triangles.pop();
+        model.mend_solids();
+        assert!(model.warnings.is_empty());
     }
 }

@@ -283,6 +283,7 @@ impl<'a> Reader<'a> {
             let place = if mesh.name.is_empty() { "mesh" } else { &mesh.name }.to_string();
             mesh.mend(&place, &mut self.model.warnings);
         }
+        self.model.mend_solids();
         if self.n_skipped > 0 {
             let n = self.n_skipped;
             self.model.warnings.push(format!("{n} points, lines or curves are left out"));
@@ -410,7 +411,11 @@ mod tests {
         assert_eq!((glass.roughness, glass.alpha_mode), (0.0, AlphaMode::Opaque));
         assert_eq!((veil.alpha_mode, veil.base_colour.w), (AlphaMode::Blend, 0.25));
         assert_eq!(broken.base_colour.truncate(), Vec3::ONE);
-        assert_eq!(model.warnings.len(), 3, "{:?}", model.warnings);
+        let mut warnings = model.warnings.iter();
+        for expected in ["is not a number", "file name", "Ns", "is not closed"] {
+            assert!(warnings.next().unwrap().contains(expected), "{:?}", model.warnings);
+        }
+        assert!(warnings.next().is_none());
     }
 
     #[test]

@@ -25,7 +25,7 @@ pub(super) struct Found {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Simd {
     Scalar,
-    /// Holds only where AVX2 and FMA were detected: made by [`Simd::detect`] alone.
+    /// Holds only where AVX2 and FMA were detected: made by [`Simd::choose`] alone.
     #[cfg(target_arch = "x86_64")]
     Avx2,
 }
@@ -33,7 +33,11 @@ pub(super) enum Simd {
 impl Simd {
     /// The best this processor has, or the plain one if `PLATELIGHT_SIMD=scalar` is set.
     pub fn detect() -> Self {
-        if std::env::var_os("PLATELIGHT_SIMD").is_some_and(|v| v == "scalar") {
+        Self::choose(std::env::var("PLATELIGHT_SIMD").ok().as_deref())
+    }
+
+    fn choose(wish: Option<&str>) -> Self {
+        if wish == Some("scalar") {
             return Self::Scalar;
         }
         #[cfg(target_arch = "x86_64")]
@@ -228,4 +232,19 @@ fn occluded_loop<K: Kernel>(
         }
     }
     false
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn scalar_can_be_asked_for_and_anything_else_takes_the_best() {
+        assert_eq!(Simd::choose(Some("scalar")), Simd::Scalar);
+        assert_eq!(Simd::choose(Some("")), Simd::choose(None));
+        #[cfg(target_arch = "x86_64")]
+        if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
+            assert_eq!(Simd::choose(None), Simd::Avx2);
+        }
+    }
 }
