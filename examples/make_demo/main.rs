@@ -38,7 +38,7 @@ struct Args {
     #[arg(long, default_value = "plates/demo")]
     out: PathBuf,
     /// Paths in a pixel of the plate and the truth.
-    #[arg(long, default_value_t = 128)]
+    #[arg(long, default_value_t = 64)]
     samples: u32,
     /// Pixels this many times as large: a look at the place in seconds, not fit for the pipeline.
     #[arg(long, default_value_t = 1)]

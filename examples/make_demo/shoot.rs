@@ -111,13 +111,13 @@ impl Effort {
     pub fn tag(self) -> Rendered {
         let mut place = Place::terrace();
         place.add_sheet(tag_sheet());
-        self.picture(&place, &plate_view(), self.fewer(8), 2)
+        self.picture(&place, &plate_view(), self.fewer(4), 2)
     }
 
     pub fn ball_pose(self) -> Rendered {
         let mut place = Place::terrace();
         place.add_sheet(lying_board());
-        self.picture(&place, &ball_view(), self.fewer(8), 3)
+        self.picture(&place, &ball_view(), self.fewer(4), 3)
     }
 
     pub fn ball(self) -> Rendered {
@@ -125,7 +125,7 @@ impl Effort {
         place.add_ball();
         let (x, y) = ball_corner();
         let view = ball_view().cropped(x, y, BALL_SCALE, BALL_CROP);
-        self.picture(&place, &view, self.fewer(4), 4)
+        self.picture(&place, &view, self.fewer(2), 4)
     }
 
     /// Board photograph `index`, and how it is exposed.
@@ -134,9 +134,9 @@ impl Effort {
         let hold = &HOLDS[index];
         let camera = look(hold.camera, [0.1 * hold.tilt[1], 0.02, -0.2], 0.01 * hold.tilt[2]);
         let sheet = hold.sheet(&camera);
-        let corner_light = corner_irradiance(&place, &sheet, 8 * self.samples, index as u32);
+        let corner_light = corner_irradiance(&place, &sheet, 16 * self.samples, index as u32);
         let background =
-            blurred(render(&place, &camera.reduced(8), self.fewer(8), 50 + index as u32));
+            blurred(render(&place, &camera.reduced(8), self.fewer(4), 50 + index as u32));
         let brightest = corner_light.iter().map(|e| e.max_element()).fold(0.0, f64::max);
         let picture = print_over(&camera.reduced(self.coarser), &sheet, corner_light, &background);
         (picture, exposure_for(brightest))
