@@ -11,7 +11,7 @@ use rayon::prelude::*;
 
 use super::merge::Layer;
 use super::{BracketError, Warning};
-use crate::photo::{Facts, Photo};
+use crate::photo::{Facts, Format, Photo};
 
 /// Exposure t·(ISO/100)/N² of a photograph: linear value = exposure × radiance (up to the camera's
 /// own constant). `None` if EXIF lacks the time, the f-number or the ISO.
@@ -137,13 +137,22 @@ const DARKEST_SHARED: f32 = 0.01;
 /// A ratio that varies by more than this over brightness is a tone curve, not an exposure.
 const CURVE_SPREAD: f64 = 0.10;
 
-/// Whether the ratio of neighbouring frames depends on brightness: the mark of a tone curve.
-pub(super) fn show_tone_curve(layers: &[Layer], order: &[usize]) -> bool {
-    order
-        .windows(2)
-        .filter_map(|pair| ratio(&layers[pair[0]], &layers[pair[1]]))
-        .any(|ratio| ratio.spread > CURVE_SPREAD)
+/// Whether neighbouring frames show a tone curve that is not the files' stated one.
+pub(super) fn show_tone_curve(
+    layers: &[Layer],
+    photos: &[&Photo],
+    labels: &[f64],
+    order: &[usize],
+) -> bool {
+    order.windows(2).any(|pair| {
+        let label = (labels[pair[1]] / labels[pair[0]]).ln();
+        ratio(&layers[pair[0]], &layers[pair[1]])
+            .is_some_and(|ratio| ratio.is_curve(label, photos[pair[0]]))
+    })
 }
+
+/// Slopes in log-log that a camera's tone curve may have; beyond, the label is wrong.
+const CURVE_SLOPES: std::ops::RangeInclusive<f64> = 0.4..=2.5;
 
 /// What two frames say of the ratio of their exposures.
 struct Ratio {
@@ -151,6 +160,18 @@ struct Ratio {
     log: f64,
     /// Largest difference of the log ratio between brightness bands.
     spread: f64,
+}
+
+impl Ratio {
+    /// Whether a tone curve explains the ratio better than a wrong label does.
+    ///
+    /// It does where the ratio depends on brightness; and in a JPEG that a camera developed, whose
+    /// times the camera itself wrote, more likely than a label that is 25 % wrong.
+    fn is_curve(&self, label: f64, short: &Photo) -> bool {
+        let by_camera = short.format == Format::Jpeg && short.facts.make.is_some();
+        self.spread > CURVE_SPREAD
+            || by_camera && (self.log - label).abs() > (1.0 + WRONG_ABOVE).ln()
+    }
 }
 
 /// Corrects labels from the pixels; `order` lists the frames by rising label.
@@ -175,13 +196,19 @@ pub(super) fn refine(
             None => {
                 warnings.push(Warning::RatioUnchecked { short: name(short), long: name(long) });
             }
-            Some(ratio) if ratio.spread > CURVE_SPREAD => {
-                let (short, long) = (name(short), name(long));
-                // Even through an unknown tone curve a factor of two is a wrong label.
-                if (ratio.log - label).abs() > std::f64::consts::LN_2 {
-                    return Err(wrong_label(short, long, label, ratio.log));
+            Some(ratio) if ratio.is_curve(label, photos[short]) => {
+                // A tone curve of slope γ in log-log turns a ratio r into r^γ.
+                let slope = ratio.log / label.max(0.02);
+                if !CURVE_SLOPES.contains(&slope) {
+                    return Err(wrong_label(name(short), name(long), label, ratio.log));
                 }
-                warnings.push(Warning::ToneCurve { short, long, spread: ratio.spread });
+                warnings.push(Warning::ToneCurve {
+                    short: name(short),
+                    long: name(long),
+                    label: label.exp(),
+                    measured: ratio.log.exp(),
+                    spread: ratio.spread,
+                });
             }
             Some(ratio) => {
                 let off = (ratio.log - label).abs();
@@ -257,7 +284,7 @@ fn ratio(short: &Layer, long: &Layer) -> Option<Ratio> {
 }
 
 /// The middle value; `None` of nothing.
-pub(super) fn median(mut values: Vec<f64>) -> Option<f64> {
+fn median(mut values: Vec<f64>) -> Option<f64> {
     let middle = values.len() / 2;
     (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f64::total_cmp).1)
 }

@@ -24,8 +24,11 @@ pub enum Warning {
     RatioUnchecked { short: PathBuf, long: PathBuf },
     #[error("{} and {}: the exposures are stated as 1:{label:.3}, the pixels say 1:{measured:.3}; the pixels are believed", short.display(), long.display())]
     LabelOff { short: PathBuf, long: PathBuf, label: f64, measured: f64 },
-    #[error("{} and {}: their ratio varies by {:.0} % from dark to bright, so the camera's tone curve is not the assumed one; radiance is wrong by about as much", short.display(), long.display(), 100.0 * spread)]
-    ToneCurve { short: PathBuf, long: PathBuf, spread: f64 },
+    #[error(
+        "{} and {}: 1:{measured:.2} in the pixels where 1:{label:.2} is stated, varying by {:.0} % from dark to bright: the camera's tone curve is not the assumed one, and radiance is wrong by about as much",
+        short.display(), long.display(), 100.0 * spread
+    )]
+    ToneCurve { short: PathBuf, long: PathBuf, label: f64, measured: f64, spread: f64 },
     #[error(
         "the camera's tone curve is not sRGB (up to a factor {factor:.2}); it was recovered from the bracket, but a single photograph such as the plate is still read as sRGB"
     )]

@@ -111,7 +111,7 @@ pub fn merge(frames: &[Frame], options: &MergeOptions) -> Result<Merged, Bracket
         }
     }
     let mut response = None;
-    if options.recover_response && exposure::show_tone_curve(&layers, &order) {
+    if options.recover_response && exposure::show_tone_curve(&layers, &photos, &labels, &order) {
         response = response::recover(&photos, &layers, &labels, &order);
         if let Some(response) = &response {
             layers
@@ -172,12 +172,11 @@ impl Layer {
         }
     }
 
-    /// Whether the pixel itself, not only a neighbour, is clipped (or outside the frame).
-    fn is_clipped(&self, x: usize, y: usize) -> bool {
+    /// Whether the pixel itself, not only a neighbour, is clipped; `None` outside the frame.
+    fn clips(&self, x: usize, y: usize) -> Option<bool> {
         let (dx, dy) = self.whole_shift();
         let at = |v: usize, d: i64| usize::try_from(v as i64 + d).ok();
-        let pixel = at(x, dx).zip(at(y, dy)).and_then(|(x, y)| self.clipped.get(x, y));
-        pixel.copied().unwrap_or(true)
+        self.clipped.get(at(x, dx)?, at(y, dy)?).copied()
     }
 
     /// The shift that was undone, in whole pixels.
@@ -324,15 +323,20 @@ impl Stack<'_> {
         Merge { mean: mean.as_vec3(), variance: variance.as_vec3(), validity }
     }
 
-    /// The shortest frame alone: the radiance at which it clips, or a pixel beside a clipped one.
+    /// The shortest frame that shows the pixel: the radiance at which it clips, or what it shows
+    /// beside a clipped pixel.
     fn clipped_everywhere(&self, x: usize, y: usize, noise: &Noise) -> Merge {
-        let k = self.order[0];
+        let shown = |&k: &usize| Some((k, self.layers[k].clips(x, y)?));
+        let Some((k, clips)) = self.order.iter().find_map(shown) else {
+            // Outside every frame: at least nothing.
+            let (mean, variance) = (Rgb::ZERO, Rgb::ZERO);
+            return Merge { mean, variance, validity: Validity::LowerBound };
+        };
         let t = self.exposures[k];
         let value = self.layers[k].linear[(x, y)].as_dvec3();
         let variance = value.to_array().map(|y| noise.variance(y) / (t * t));
-        let validity =
-            if self.layers[k].is_clipped(x, y) { Validity::LowerBound } else { Validity::Single };
         let variance = DVec3::from(variance).as_vec3();
+        let validity = if clips { Validity::LowerBound } else { Validity::Single };
         Merge { mean: (value / t).as_vec3(), variance, validity }
     }
 

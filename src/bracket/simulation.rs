@@ -358,3 +358,76 @@ fn a_one_pixel_photograph_merges() {
     assert_eq!(merged.radiance.mean.pixels(), [Rgb::splat(2.0)]);
     assert_eq!(merged.radiance.validity.pixels(), [Validity::Single]);
 }
+
+#[test]
+fn the_merged_ball_of_a_truth_scene_is_its_noise_free_picture() {
+    let root = std::env::var("PLATELIGHT_SHARED")
+        .unwrap_or_else(|_| concat!(env!("CARGO_MANIFEST_DIR"), "/../shared").into());
+    let folder = std::path::Path::new(&root).join("truth/outdoor-sun");
+    let Ok(facts) = std::fs::read_to_string(folder.join("shot_facts.json")) else {
+        eprintln!("{} is missing: test skipped", folder.display());
+        return;
+    };
+    let facts: serde_json::Value = serde_json::from_str(&facts).unwrap();
+    // Linear value = K · t · (ISO/100)/N² · radiance: the merged unit is K times the picture's.
+    let k = facts["sensor"]["K"].as_f64().unwrap();
+    let open = |name: &str| {
+        crate::photo::read(&folder.join(name), &crate::photo::ReadOptions::default()).unwrap()
+    };
+    let truth = open("ball.exr").linear;
+    let photos: Vec<Photo> = (0..6).map(|i| open(&format!("ball_b{i}.jpg"))).collect();
+    let exposures = exposure::from_exif(&photos).unwrap();
+    let merged = merge(&frames(&photos, &exposures), &MergeOptions::default()).unwrap();
+    assert_eq!(merged.exposures, exposures);
+    assert!(merged.response.is_none(), "these photographs are exact sRGB");
+    let Radiance { mean, variance, validity } = &merged.radiance;
+    let (mut sum, mut true_sum, mut covered, mut n) = (0.0, 0.0, 0.0, 0.0);
+    for (i, truth) in truth.pixels().iter().enumerate() {
+        if validity.pixels()[i] > Validity::Single {
+            continue;
+        }
+        let (x, truth) = (f64::from(mean.pixels()[i].y), f64::from(truth.y) * k);
+        sum += x;
+        true_sum += truth;
+        n += 1.0;
+        let sigma = f64::from(variance.pixels()[i].y).sqrt();
+        covered += f64::from(u8::from((x - truth).abs() < sigma));
+    }
+    eprintln!("ratio {:.5}, within 1σ {:.3}, {:?}", sum / true_sum, covered / n, merged.noise);
+    // 518 000 px of about 3 % scatter: their sum is known to 0.01 %; JPEG and 8 bits get the rest.
+    assert!((sum / true_sum - 1.0).abs() < 0.003, "{}", sum / true_sum);
+    // 0.68 for normal errors; JPEG's have long tails, so half is covered here (known weakness).
+    assert!((0.45..0.8).contains(&(covered / n)), "{}", covered / n);
+}
+
+#[test]
+fn a_camera_s_own_jpeg_is_not_accused_of_wrong_times() {
+    // A pure power looks to one pair of frames like a wrong label; a camera's EXIF is believed.
+    fn power(y: f64) -> f64 {
+        y.powf(1.5)
+    }
+    let scene = patches(4.0, 2.0);
+    let mut random = Random(14);
+    let exposures = [1.0, 0.25];
+    let mut photos: Vec<Photo> =
+        exposures.iter().map(|&t| shoot(&scene, t, &mut random, power)).collect();
+    let result = merge(&frames(&photos, &exposures), &MergeOptions::default());
+    assert!(matches!(result, Err(BracketError::WrongLabel { .. })), "{result:?}");
+    for photo in &mut photos {
+        photo.format = Format::Jpeg;
+        photo.facts.make = Some("Camera".into());
+    }
+    let merged = merge(&frames(&photos, &exposures), &MergeOptions::default()).unwrap();
+    assert!(merged.response.is_some());
+    assert_eq!(merged.exposures, exposures);
+    // The same light at the same times is no curve: a time must be wrong.
+    let again = shoot(&scene, 0.25, &mut random, straight);
+    let again = Photo { format: Format::Jpeg, facts: photos[0].facts.clone(), ..again };
+    let first = Photo {
+        facts: photos[0].facts.clone(),
+        format: Format::Jpeg,
+        ..shoot(&scene, 0.25, &mut random, straight)
+    };
+    let result = merge(&frames(&[first, again], &exposures), &MergeOptions::default());
+    assert!(matches!(result, Err(BracketError::WrongLabel { .. })), "{result:?}");
+}
