@@ -40,7 +40,6 @@ pub struct AlbedoMap {
     columns: usize,
     nodes: Vec<Option<Node>>,
     means: Vec<Rgb>,
-    share_above: f32,
 }
 
 impl AlbedoMap {
@@ -51,7 +50,7 @@ impl AlbedoMap {
             .iter()
             .map(|l| if let AlbedoSource::Constant(a) = l.albedo { a } else { UNKNOWN })
             .collect();
-        Self { step: 1, columns: 0, nodes: Vec::new(), means, share_above: 0.0 }
+        Self { step: 1, columns: 0, nodes: Vec::new(), means }
     }
 
     /// Solves on a grid. A coarse round first finds the mean albedos that hidden surfaces need.
@@ -87,7 +86,6 @@ impl AlbedoMap {
 
         let mut map = Self { step, columns, nodes, ..world.albedo.clone() };
         let mut found: Vec<Vec<Rgb>> = vec![Vec::new(); world.scene.local.len()];
-        let (mut above, mut counted) = (0, 0);
         for (k, node) in map.nodes.iter().enumerate() {
             let Some(node) = node else { continue };
             if world.scene.local[node.mesh].albedo != AlbedoSource::Plate {
@@ -96,8 +94,6 @@ impl AlbedoMap {
             let x = centre(k % columns, width);
             let y = centre(k / columns, height);
             let albedo = world.plate[(x, y)] / node.radiance.max(Vec3::splat(1e-9));
-            above += usize::from(albedo.max_element() > LARGEST_BOUNCE);
-            counted += 1;
             found[node.mesh].push(albedo.min(Rgb::splat(LARGEST_BOUNCE)));
         }
         for (mesh, albedos) in found.iter().enumerate() {
@@ -105,14 +101,7 @@ impl AlbedoMap {
                 map.means[mesh] = albedos.iter().sum::<Rgb>() / albedos.len() as f32;
             }
         }
-        map.share_above = if counted > 0 { above as f32 / counted as f32 } else { 0.0 };
         map
-    }
-
-    /// Share of the solved surface whose albedo would exceed 0.95: if large, the plate's exposure
-    /// does not fit the probe's.
-    pub fn share_above(&self) -> f32 {
-        self.share_above
     }
 
     /// Mean albedo of a local mesh where the plate shows it.
@@ -145,15 +134,21 @@ impl AlbedoMap {
         (weights > 0.0).then(|| sum / weights)
     }
 
-    /// Albedo for bounces at a pixel position where the plate is `plate`, each channel 0…0.95.
-    pub fn albedo(&self, plate: Rgb, pixel: Vec2, mesh: usize) -> Rgb {
-        let Some(radiance) = self.irradiance(pixel, mesh) else { return self.means[mesh] };
+    /// Albedo as solved at a pixel position where the plate is `plate`: above 1 if the plate's
+    /// exposure does not fit the probe's.
+    fn solved(&self, plate: Rgb, pixel: Vec2, mesh: usize) -> Rgb {
         let mean = self.means[mesh];
+        let Some(radiance) = self.irradiance(pixel, mesh) else { return mean };
         let channel = |c: usize| {
             // In the dark the quotient is noise over noise.
             if radiance[c] > 1e-9 { plate[c] / radiance[c] } else { mean[c] }
         };
-        Rgb::new(channel(0), channel(1), channel(2)).clamp(Rgb::ZERO, Rgb::splat(LARGEST_BOUNCE))
+        Rgb::new(channel(0), channel(1), channel(2)).max(Rgb::ZERO)
+    }
+
+    /// [`solved`](Self::solved), each channel at most 0.95, so that bounces die out.
+    pub fn albedo(&self, plate: Rgb, pixel: Vec2, mesh: usize) -> Rgb {
+        self.solved(plate, pixel, mesh).min(Rgb::splat(LARGEST_BOUNCE))
     }
 
     /// The albedo layer: 0 where the plate shows nothing local that is diffuse.
@@ -164,7 +159,7 @@ impl AlbedoMap {
                 AlbedoSource::Constant(albedo) => albedo,
                 AlbedoSource::Plate => {
                     let pixel = Vec2::new(x as f32, y as f32);
-                    self.albedo(world.plate[(x, y)], pixel, mesh)
+                    self.solved(world.plate[(x, y)], pixel, mesh)
                 }
                 AlbedoSource::Material => Rgb::ZERO,
             }
@@ -190,7 +185,7 @@ fn node(
     let exact = world.skylight.radiance(point.surface.geometric).filter(|_| world.flat);
     let radiance = exact.unwrap_or_else(|| {
         let sum: Rgb = (0..samples)
-            .map(|index| world.look(&point, Want::Without, sampler(index), 0).without)
+            .map(|index| world.look(&point, Want::Without, 1.0, sampler(index), 0).without)
             .sum();
         sum / samples as f32
     });

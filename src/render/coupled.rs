@@ -30,6 +30,8 @@ use crate::trace::{Hit, Ray};
 pub const MAX_DEPTH: u32 = 8;
 /// From this depth on paths end by chance.
 const ROULETTE_DEPTH: u32 = 2;
+/// As [`ROULETTE_DEPTH`], for looking on from local points that objects or local points see.
+const LOOK_ROULETTE_DEPTH: u32 = 1;
 /// Share of draws toward the objects where nothing local can be met, and where it can.
 const CONE_SHARE_FLAT: f32 = 0.9;
 const CONE_SHARE: f32 = 0.5;
@@ -98,7 +100,7 @@ impl Estimator for Coupled<'_> {
         let Some(hit) = step.local else { return Sample::default() };
         let point = self.world.local_point(&ray, &hit);
         let want = Want::Both(self.world.control_for(&point, x, y));
-        let pair = self.world.look(&point, want, sampler.descend(0), 0);
+        let pair = self.world.look(&point, want, 1.0, sampler.descend(0), 0);
         Sample::background(point.colour, self.world.albedo.mean(point.mesh), pair)
     }
 }
@@ -121,7 +123,16 @@ impl World<'_> {
     }
 
     /// One look from a local point: D and L_without for its BSDF (white Lambert unless `Own`).
-    pub fn look(&self, point: &LocalPoint, want: Want, sampler: Sampler, depth: u32) -> Pair {
+    ///
+    /// `power` is how much of its light counts in the pixel; it steers roulette, not the mean.
+    pub fn look(
+        &self,
+        point: &LocalPoint,
+        want: Want,
+        power: f32,
+        sampler: Sampler,
+        depth: u32,
+    ) -> Pair {
         let surface = &point.surface;
         let mut pair = Pair { without: want.control().unwrap_or(Rgb::ZERO), ..Pair::default() };
         let share = if self.flat { CONE_SHARE_FLAT } else { CONE_SHARE };
@@ -134,7 +145,7 @@ impl World<'_> {
         if exact && !cones.any_above() {
             return pair;
         }
-        let look = Look { world: self, surface, want, cones: &cones, exact, depth };
+        let look = Look { world: self, surface, want, power, cones: &cones, exact, depth };
         for stratum in 0..self.lights.n_strata() {
             look.toward_light(stratum, &sampler, &mut pair);
         }
@@ -176,7 +187,7 @@ impl World<'_> {
         if depth >= MAX_DEPTH {
             return known;
         }
-        let survival = if depth < ROULETTE_DEPTH {
+        let survival = if depth < LOOK_ROULETTE_DEPTH {
             1.0
         } else {
             (power * albedo.max_element() * 2.0).clamp(0.05, 1.0)
@@ -184,7 +195,8 @@ impl World<'_> {
         if sampler.one(Purpose::Roulette) >= survival {
             return known;
         }
-        let pair = self.look(point, still, sampler, depth);
+        let power = power * albedo.max_element() / survival;
+        let pair = self.look(point, still, power, sampler, depth);
         let scale = albedo / survival;
         Pair { delta: pair.delta * scale, without: known.without + pair.without * scale }
     }
@@ -285,6 +297,7 @@ struct Look<'w> {
     world: &'w World<'w>,
     surface: &'w Surface,
     want: Want,
+    power: f32,
     cones: &'w Cones,
     /// L_without is known without any draw, and nothing local can be met.
     exact: bool,
@@ -358,7 +371,7 @@ impl Look<'_> {
             None
         };
         let next = sampler.descend(1);
-        let power = by_mixture.max_element();
+        let power = self.power * by_mixture.max_element();
 
         // What the object sends, by roulette: it matters little where the direction matters little
         if let Some(hit) = object {
