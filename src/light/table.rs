@@ -11,10 +11,13 @@ use glam::DVec2;
 /// Draws indices with probability in proportion to given weights, monotone in the random number.
 #[derive(Clone, Debug)]
 struct Cutpoints {
-    /// Upper end of each index's share, of 2³².
-    ends: Vec<u64>,
+    /// Largest number, of 2³², that belongs to each index; those before the first weight have none
+    /// and hold 0, which `first` passes over. Small on purpose: draws are cache misses.
+    last: Vec<u32>,
     /// For k of `guide.len()` equal parts of [0, 1): the first index whose share reaches it.
     guide: Vec<u32>,
+    /// The first index with a share.
+    first: u32,
 }
 
 const ONE: f64 = 4_294_967_296.0;
@@ -51,24 +54,27 @@ impl Cutpoints {
             }
             guide.push(i as u32);
         }
-        Some(Self { ends, guide })
+        let first = ends.iter().position(|&end| end > 0).unwrap_or(0) as u32;
+        let last = ends.iter().map(|&end| end.saturating_sub(1) as u32).collect();
+        Some(Self { last, guide, first })
     }
 
     /// The index whose share holds `u` in [0, 1), and where in its share `u` lies.
     fn draw(&self, u: f64) -> (usize, f64) {
-        let n = self.ends.len();
-        let at = ((u * ONE) as u64).min(ONE as u64 - 1);
-        let part = ((at as f64 / ONE) * n as f64) as usize;
+        let n = self.last.len();
+        let first = self.first as usize;
+        let at = (u * ONE) as u32;
+        let part = ((f64::from(at) / ONE) * n as f64) as usize;
         let mut i = self.guide[part.min(n - 1)] as usize;
-        while self.ends[i] <= at {
+        while self.last[i] < at {
             i += 1;
         }
         // A cut of the guide is rounded: the search may have to begin one share earlier.
-        while i > 0 && self.ends[i - 1] > at {
+        while i > first && self.last[i - 1] >= at {
             i -= 1;
         }
-        let below = if i == 0 { 0 } else { self.ends[i - 1] };
-        let inside = (u * ONE - below as f64) / (self.ends[i] - below) as f64;
+        let below = if i > first { f64::from(self.last[i - 1]) + 1.0 } else { 0.0 };
+        let inside = (u * ONE - below) / (f64::from(self.last[i]) + 1.0 - below);
         (i, inside.clamp(0.0, 1.0 - f64::EPSILON))
     }
 }
@@ -137,8 +143,8 @@ mod tests {
         weights[500] = 3e6;
         let table = Cutpoints::new(weights.iter().copied()).unwrap();
         for i in 0..1024 {
-            let below = if i == 0 { 0 } else { table.ends[i - 1] };
-            let share = (table.ends[i] - below) as f64 / ONE;
+            let below = if i == 0 { 0.0 } else { f64::from(table.last[i - 1]) + 1.0 };
+            let share = (f64::from(table.last[i]) + 1.0 - below) / ONE;
             let wanted = weights[i] / (3e6 + 1023.0);
             assert!((share - wanted).abs() < 1e-3 * wanted + 3e-10, "{i}: {share} for {wanted}");
             assert!(share > 0.0);

@@ -23,8 +23,8 @@ pub const LARGEST_BOUNCE: f32 = 0.95;
 /// Assumed where the plate shows nothing of a surface: between asphalt and concrete.
 const UNKNOWN: Rgb = Rgb::splat(0.25);
 /// Nodes of the grid, at most about this many.
-const NODES: usize = 8000;
-const SAMPLES: u32 = 64;
+const NODES: usize = 6000;
+const SAMPLES: u32 = 32;
 
 /// E₀/π where a grid node's camera ray meets a local surface.
 #[derive(Clone, Copy, Debug)]

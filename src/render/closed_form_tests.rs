@@ -8,7 +8,7 @@ use super::test_scenes::*;
 use crate::conventions::Rgb;
 use crate::light::Lights;
 use crate::photo::Image;
-use crate::scene::{AlbedoSource, Mesh};
+use crate::scene::{AlbedoSource, Material, Mesh};
 
 const COUPLED: Method = Method::Coupled;
 
@@ -136,4 +136,91 @@ fn in_a_white_furnace_nothing_changes() {
     assert!(d.coverage.pixels().iter().all(|&c| c == 1.0));
     let top: f32 = d.object.pixels().iter().map(|p| p.x).sum::<f32>() / 16.0;
     assert!((top - 1.0).abs() < 0.01, "{top}");
+}
+
+#[test]
+fn a_mirror_and_clear_glass_vanish_in_a_furnace() {
+    // R4.8: nothing but a uniform sphere of light; what is reflected is what is behind.
+    let mirror = Material { metallic: 1.0, roughness: 0.0, specular: 1.0, ..matt(1.0) };
+    let glass =
+        Material { transmission: 1.0, solid: true, roughness: 0.0, specular: 1.0, ..matt(1.0) };
+    let sheet = Material { transmission: 1.0, roughness: 0.0, specular: 1.0, ..matt(1.0) };
+    for (name, material, lost) in
+        [("mirror", mirror, 3e-3), ("glass", glass, 0.01), ("sheet", sheet, 0.01)]
+    {
+        let scene = scene(vec![sphere(Vec3::ZERO, 0.3, 5)], material, Vec::new());
+        let camera = corner_camera(24, 18, 2.0);
+        let plate = Image::filled(24, 18, Rgb::ONE);
+        let d = render(&scene, &uniform_sky(1.0), &camera, &plate, COUPLED, 64, 2);
+        let covered: f32 = d.coverage.pixels().iter().sum();
+        let sent: f32 = d.object.pixels().iter().map(|p| p.x).sum();
+        assert!(covered > 20.0, "{name}: {covered} pixels");
+        // Lost: what paths longer than twelve edges carry, and, at the outline, mirror directions of
+        // the smooth normal that lead into the triangle.
+        assert!((sent / covered - 1.0).abs() < lost, "{name}: {}", sent / covered);
+        assert!(d.difference.pixels().iter().all(|&p| p == Rgb::ZERO), "{name}: no surface");
+    }
+}
+
+#[test]
+fn a_card_of_the_grounds_own_albedo_lying_on_it_is_invisible() {
+    // R4.8 and G8: coplanar, so the object must win over the ground everywhere.
+    let rho = 0.5;
+    let card = rectangle(Vec3::new(-0.3, 0.0, 0.3), Vec3::X * 0.6, Vec3::NEG_Z * 0.6);
+    let grey = AlbedoSource::Constant(Rgb::splat(rho));
+    let scene = scene(vec![card], matt(rho), vec![local(ground(3.0), grey)]);
+    let camera = corner_camera(24, 18, 2.0);
+    let lights = sunny_sky(45.0, 2.0);
+    let shown = lights.irradiance(Vec3::Y) * rho * std::f32::consts::FRAC_1_PI;
+    let plate = Image::filled(24, 18, shown);
+    let d = render(&scene, &lights, &camera, &plate, COUPLED, 128, 2);
+    let mut inside = 0;
+    for (c, sent) in d.coverage.pixels().iter().zip(d.object.pixels()) {
+        assert!(*c == 0.0 || sent.x > 0.0);
+        if *c == 1.0 {
+            inside += 1;
+            assert!((*sent / shown - Rgb::ONE).abs().max_element() < 0.1, "{sent} for {shown}");
+        }
+    }
+    assert!(inside > 10);
+    let worst = d.difference.pixels().iter().fold(0.0_f32, |m, p| m.max(p.abs().max_element()));
+    assert!(worst < 1e-3 * shown.x, "the ground around it does not see it: {worst}");
+}
+
+#[test]
+fn the_delivered_standard_error_is_the_scatter() {
+    // R7.4 over 64 seeds of 64 samples in 8 replicates: rms of z in 0.9…1.1, |z| < 2 in 88…94 %.
+    let scene = scene(
+        vec![sphere(Vec3::new(0.0, 0.3, 0.0), 0.3, 3)],
+        matt(0.5),
+        vec![local(ground(2.0), AlbedoSource::Constant(Rgb::splat(0.5)))],
+    );
+    let lights = sunny_sky(40.0, 2.0);
+    let camera = corner_camera(12, 9, 2.5);
+    let plate = Image::filled(12, 9, lights.irradiance(Vec3::Y) * 0.5 / std::f32::consts::PI);
+    let runs: Vec<_> =
+        (0..64).map(|seed| render(&scene, &lights, &camera, &plate, COUPLED, 64, seed)).collect();
+    let (mut squares, mut within, mut count) = (0.0, 0.0, 0.0);
+    for k in 0..12 * 9 {
+        let value =
+            |d: &super::Difference| f64::from((d.object.pixels()[k] + d.difference.pixels()[k]).y);
+        let mean: f64 = runs.iter().map(value).sum::<f64>() / 64.0;
+        for d in &runs {
+            let sigma = f64::from(d.stderr.pixels()[k].y);
+            // Pixels that next to nothing reaches have no error to speak of.
+            if sigma > 1e-4 {
+                // The mean holds a 64th of the value itself.
+                let z = (value(d) - mean) / sigma / (63.0_f64 / 64.0).sqrt();
+                squares += z.clamp(-6.0, 6.0).powi(2);
+                within += f64::from(u8::from(z.abs() < 2.0));
+                count += 1.0;
+            }
+        }
+    }
+    assert!(count > 3000.0, "{count}");
+    let rms = (squares / count).sqrt();
+    // z follows t with 7 degrees of freedom: its rms is √(7/5) = 1.18 for a perfect estimate.
+    let scale = (7.0_f64 / 5.0).sqrt();
+    assert!((0.9..1.1).contains(&(rms / scale)), "rms z {rms}");
+    assert!((0.86..0.94).contains(&(within / count)), "|z| < 2 in {}", within / count);
 }

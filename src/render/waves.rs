@@ -31,6 +31,13 @@ const LARGEST_REPLICATE: u32 = 64;
 const MOST_SAMPLES: f64 = 65_536.0;
 /// A pixel belongs to the influence region if the objects change it by more than this.
 const INFLUENCE: f64 = 0.01;
+/// Share of a tile's pixels that its pooled error leaves out: a caustic found by chance has no
+/// variance that more samples of its own kind would bring down, and must not take all the work.
+/// The standard error delivered for those pixels stays what it is.
+const HEAVY_TAIL: f64 = 0.02;
+/// Replicates and samples per replicate that any pixel gets: two are needed for a standard error.
+const LEAST_REPLICATES: u32 = 2;
+const LEAST_SAMPLES: u32 = 2;
 /// Brightness below which errors are not magnified, relative to the plate's mean.
 const FLOOR: f32 = 0.02;
 
@@ -78,17 +85,15 @@ struct Tile {
     noise: TileNoise,
 }
 
-/// Pooled error of a tile.
+/// Pooled error of a tile, the worst [`HEAVY_TAIL`] of its pixels left out.
 #[derive(Clone, Copy, Default)]
 struct TileNoise {
-    /// Sum over the pixels of the relative variance of a single sample.
+    /// Mean over the pixels of the relative variance of a single sample.
     sample_variance: f64,
-    /// Sum over the pixels of the relative variance reached.
+    /// Mean over the pixels of the relative variance reached.
     variance: f64,
     /// Pixels in the influence region.
     influenced: f64,
-    /// Whether any sample touched an object.
-    touched: bool,
 }
 
 /// What the camera meets first at pixel centres; never filtered.
@@ -178,7 +183,8 @@ impl<E: Estimator> Waves<E> {
         let (world, primary) = (self.estimator.world(), self.estimator.primary());
         for tile in &mut self.tiles {
             tile.n = 1;
-            tile.planned = if Self::can_matter(world, primary, tile) { 2 } else { 0 };
+            tile.planned =
+                if Self::can_matter(world, primary, tile) { LEAST_REPLICATES } else { 0 };
         }
     }
 
@@ -191,15 +197,16 @@ impl<E: Estimator> Waves<E> {
             let n = 1 << per_replicate.ilog2();
             tile.n = match self.stop {
                 Stop::Samples(_) => n.min(LARGEST_REPLICATE),
-                _ => n.clamp(4, LARGEST_REPLICATE),
+                _ => n.clamp(LEAST_SAMPLES, LARGEST_REPLICATE),
             };
             tile.replicates = 0;
             tile.pixels = Vec::new();
             tile.planned = match self.stop {
                 _ if !seen => 0,
-                Stop::Samples(_) => 2,
+                Stop::Samples(_) => LEAST_REPLICATES,
                 // The pilot's scatter is that of independent numbers: half of what it asks for.
-                _ => ((0.5 * wanted / f64::from(tile.n)).ceil() as u32).clamp(2, REPLICATES),
+                _ => ((0.5 * wanted / f64::from(tile.n)).ceil() as u32)
+                    .clamp(LEAST_REPLICATES, REPLICATES),
             };
         }
     }
@@ -226,11 +233,11 @@ impl<E: Estimator> Waves<E> {
             Stop::TimeSeconds(_) if self.error.is_finite() => self.error * 0.65,
             Stop::TimeSeconds(_) => 0.03,
         };
-        let sigma = |t: &Tile| (t.noise.sample_variance / (t.width * t.height) as f64).sqrt();
+        let sigma = |t: &Tile| t.noise.sample_variance.sqrt();
         let influenced: f64 = self.tiles.iter().map(|t| t.noise.influenced).sum();
         let sum: f64 = self.tiles.iter().map(|t| t.noise.influenced * sigma(t)).sum();
         if influenced <= 0.0 {
-            return vec![f64::from(2 * REPLICATES); self.tiles.len()];
+            return vec![f64::from(REPLICATES * LEAST_SAMPLES); self.tiles.len()];
         }
         let scale = sum / (target * target * influenced);
         self.tiles.iter().map(|t| (sigma(t) * scale).min(MOST_SAMPLES)).collect()
@@ -268,8 +275,7 @@ impl<E: Estimator> Waves<E> {
     fn measured_error(&self) -> f64 {
         let region = self.tiles.iter().filter(|t| t.noise.influenced > 0.0);
         let (variance, pixels) = region.fold((0.0, 0.0), |(v, n), t| {
-            let share = t.noise.influenced / (t.width * t.height) as f64;
-            (v + t.noise.variance * share, n + t.noise.influenced)
+            (v + t.noise.variance * t.noise.influenced, n + t.noise.influenced)
         });
         if pixels > 0.0 { (variance / pixels).sqrt() } else { 0.0 }
     }
@@ -331,27 +337,30 @@ impl Tile {
     }
 
     fn measure(&mut self, plate: &Image<Rgb>, floor: f32, dark: f32) {
-        let mut noise = TileNoise::default();
-        let (mut covered, mut change) = (0.0, 0.0);
         let pixels = self.pixels.len() as f64;
-        for k in 0..self.pixels.len() {
-            let (plate, estimate) = self.estimate(k, plate, dark);
-            let Noise { relative_variance, change: c, coverage } = estimate.noise(plate, floor);
-            noise.variance += relative_variance;
-            noise.touched |= coverage > 0.0 || c > 0.0;
-            covered += coverage;
-            // Only a change that stands out of its own noise is one.
-            change += (c - relative_variance.sqrt()).max(0.0).min(1.0);
-            noise.influenced += f64::from(u8::from(
-                coverage > 0.0 || c > INFLUENCE + 2.0 * relative_variance.sqrt(),
-            ));
-        }
+        let noises: Vec<Noise> = (0..self.pixels.len())
+            .map(|k| {
+                let (plate, estimate) = self.estimate(k, plate, dark);
+                estimate.noise(plate, floor)
+            })
+            .collect();
+        let mut variances: Vec<f64> = noises.iter().map(|n| n.relative_variance).collect();
+        variances.sort_unstable_by(f64::total_cmp);
+        variances.truncate(variances.len() - (HEAVY_TAIL * pixels) as usize);
+        let variance = variances.iter().sum::<f64>() / variances.len() as f64;
+
+        // A change counts if it stands out of the tile's noise; a pixel's own estimate of its noise,
+        // from two replicates, is often small by luck.
+        let sigma = variance.sqrt();
+        let seen = |n: &Noise| n.coverage > 0.0 || n.change > INFLUENCE + 2.0 * sigma;
+        let mut influenced = noises.iter().filter(|n| seen(n)).count() as f64;
         // Few samples hide a change in noise: then the tile's mean decides for all its pixels.
-        if covered < pixels && change / pixels > INFLUENCE {
-            noise.influenced = noise.influenced.max(pixels);
+        let excess: f64 = noises.iter().map(|n| (n.change - sigma).clamp(0.0, 1.0)).sum();
+        if noises.iter().any(|n| n.coverage == 0.0) && excess > INFLUENCE * pixels {
+            influenced = pixels;
         }
-        noise.sample_variance = noise.variance * f64::from(self.n * self.replicates);
-        self.noise = noise;
+        let samples = f64::from(self.n * self.replicates);
+        self.noise = TileNoise { sample_variance: variance * samples, variance, influenced };
     }
 }
 
@@ -439,7 +448,7 @@ impl<E: Estimator> Waves<E> {
         }
         let share = affordable / planned;
         for tile in &mut self.tiles {
-            let least = if tile.replicates == 0 { 2 } else { 0 };
+            let least = if tile.replicates == 0 { LEAST_REPLICATES } else { 0 };
             let cut = (f64::from(tile.planned) * share) as u32;
             tile.planned = cut.max(least.min(tile.planned));
         }
