@@ -240,7 +240,7 @@ fn view_rms(rung: &Rung, slot: usize, view: &View) -> f64 {
 /// Views whose residual stands far out: (index, its rms, median rms), px.
 fn spoilers(rung: &Rung, views: &[View]) -> Vec<(usize, f64, f64)> {
     const FAR: f64 = 3.0;
-    const HARMLESS_PX: f64 = 0.25;
+    const HARMLESS_PX: f64 = 0.5;
     let each: Vec<f64> = views.iter().enumerate().map(|(i, v)| view_rms(rung, i, v)).collect();
     let mut sorted = each.clone();
     sorted.sort_by(f64::total_cmp);

@@ -78,9 +78,9 @@ fn with_aspect(shape: &Shape) -> Shape {
 
 /// Whether the diagonal field exceeds 90°: below, fisheye models only imitate the others.
 fn is_wide(lens: &Lens, width: usize, height: usize) -> bool {
-    let edge = |x: f64, y: f64| lens.unproject([x, y]);
-    match (edge(0.0, 0.0), edge(width as f64 - 1.0, height as f64 - 1.0)) {
-        (Some(a), Some(b)) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2] < 0.0,
+    let off_axis = |x: f64, y: f64| lens.unproject([x, y]).map(|d| d[2].clamp(-1.0, 1.0).acos());
+    match (off_axis(0.0, 0.0), off_axis(width as f64 - 1.0, height as f64 - 1.0)) {
+        (Some(a), Some(b)) => a + b > std::f64::consts::FRAC_PI_2,
         // Corners no direction reaches belong to an image circle.
         _ => true,
     }
