@@ -17,7 +17,7 @@ type Parameters = SVector<f64, N>;
 /// How far the window reaches along the board, in squares: neighbours' edges begin at 1.
 const REACH: f64 = 0.7;
 /// Longest reach, px: beyond, the lens bends lines and nothing is gained.
-const LONGEST_PX: f64 = 22.0;
+const LONGEST_PX: f64 = 15.0;
 
 /// The corner near `start`; `along_x`, `along_y` are one square's steps (px).
 ///
@@ -29,7 +29,7 @@ pub(crate) fn refine(
     along_y: [f64; 2],
 ) -> Option<[f64; 2]> {
     const FURTHEST_PX: f64 = 1.5;
-    const ROUNDS: usize = 4;
+    const ROUNDS: usize = 3;
     let samples = window(picture, start, along_x, along_y)?;
     let high = samples.iter().map(|s| s.light).fold(f64::NEG_INFINITY, f64::max);
     let low = samples.iter().map(|s| s.light).fold(f64::INFINITY, f64::min);
@@ -79,7 +79,8 @@ fn fit(samples: &[Sample], believed: &[f64], start: Parameters) -> Option<Parame
         next[6] = next[6].clamp(0.1, 8.0);
         let (next_squares, next_normal, next_gradient) = linearise(samples, believed, &next);
         if next_squares <= squares {
-            let small = step[0].hypot(step[1]) < 1e-5;
+            // A thousandth of a pixel is a tenth of what the best corners are known to.
+            let small = step[0].hypot(step[1]) < 1e-3;
             (p, squares, normal, gradient) = (next, next_squares, next_normal, next_gradient);
             damping *= 0.2;
             if small {
@@ -181,7 +182,7 @@ fn linearise(
         ]);
         let residual = sample.light - light * pattern;
         squares += weight * residual * residual;
-        normal.ger(weight, &row, &row, 1.0);
+        normal += row * (row * weight).transpose();
         gradient += row * (weight * residual);
     }
     (squares, normal, gradient)

@@ -178,7 +178,7 @@ fn linearise(
             swing * by_blur,
         ]);
         squares += weight * residual * residual;
-        normal.ger(weight, &row, &row, 1.0);
+        normal += row * (row * weight).transpose();
         gradient += row * (weight * residual);
     }
     (squares, normal, gradient)
@@ -199,7 +199,7 @@ fn fit(samples: &[Sample], believed: &[f64], start: Parameters) -> Option<Parame
         next[6] = next[6].clamp(0.1, 6.0);
         let (next_squares, next_normal, next_gradient) = linearise(samples, believed, &next);
         if next_squares <= squares {
-            let small = step[0].abs().max(step[1].abs()) < 1e-5;
+            let small = step[0].abs().max(step[1].abs()) < 1e-4;
             (p, squares, normal, gradient) = (next, next_squares, next_normal, next_gradient);
             damping *= 0.2;
             if small {

@@ -45,26 +45,38 @@ pub struct Args {
     #[arg(long, value_name = "MM")]
     square_mm: Option<f64>,
     /// Corners of a rectangle: upper left, upper right, lower right, lower left, as x,y pairs
-    #[arg(long, value_name = "PX", value_delimiter = ',', num_args = 8, requires = "size_m")]
-    rectangle: Option<Vec<f64>>,
+    #[arg(long, value_name = "X,Y,X,Y,X,Y,X,Y", requires = "size_m", allow_hyphen_values = true)]
+    rectangle: Option<Numbers<8>>,
     /// Width and height of the rectangle in metres
-    #[arg(long, value_name = "W,H", value_delimiter = ',', num_args = 2)]
-    size_m: Option<Vec<f64>>,
+    #[arg(long, value_name = "W,H")]
+    size_m: Option<Numbers<2>>,
     /// Centre of the target in the world, metres
-    #[arg(long, value_name = "X,Y,Z", value_delimiter = ',', num_args = 3, allow_hyphen_values = true,
-          default_values_t = [0.0, 0.0, 0.0])]
-    at: Vec<f64>,
+    #[arg(long, value_name = "X,Y,Z", default_value = "0,0,0", allow_hyphen_values = true)]
+    at: Numbers<3>,
     /// Where its printed side looks
-    #[arg(long, value_name = "X,Y,Z", value_delimiter = ',', num_args = 3, allow_hyphen_values = true,
-          default_values_t = [0.0, 1.0, 0.0])]
-    facing: Vec<f64>,
+    #[arg(long, value_name = "X,Y,Z", default_value = "0,1,0", allow_hyphen_values = true)]
+    facing: Numbers<3>,
     /// Where its upper edge points
-    #[arg(long, value_name = "X,Y,Z", value_delimiter = ',', num_args = 3, allow_hyphen_values = true,
-          default_values_t = [0.0, 0.0, -1.0])]
-    up: Vec<f64>,
+    #[arg(long, value_name = "X,Y,Z", default_value = "0,0,-1", allow_hyphen_values = true)]
+    up: Numbers<3>,
     /// Write the camera with its pose
     #[arg(long, short, value_name = "FILE")]
     out: Option<PathBuf>,
+}
+
+/// N numbers in one word, between commas.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Numbers<const N: usize>([f64; N]);
+
+impl<const N: usize> std::str::FromStr for Numbers<N> {
+    type Err = String;
+    fn from_str(text: &str) -> Result<Self, String> {
+        let number = |s: &str| s.trim().parse::<f64>().ok().filter(|v| v.is_finite());
+        let all: Option<Vec<f64>> = text.split(',').map(number).collect();
+        all.and_then(|v| v.try_into().ok())
+            .map(Self)
+            .ok_or_else(|| format!("expected {N} numbers between commas and no spaces"))
+    }
 }
 
 #[derive(Serialize)]
@@ -95,10 +107,9 @@ pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
     let source = source(args)?;
     let mut found = locate::find_pose(&source, &read.camera.lens, size, None)?;
     let camera = Camera { pose: found.pose.clone(), ..read.camera };
-    let facing = DVec3::from_slice(&args.facing);
+    let facing = DVec3::from(args.facing.0);
     // Slip a hand's breadth round the target: what an object standing on it would show.
-    found.report.slip_px =
-        found.slip_px(&camera, DVec3::from_slice(&args.at), facing, SLIP_RADIUS_M);
+    found.report.slip_px = found.slip_px(&camera, DVec3::from(args.at.0), facing, SLIP_RADIUS_M);
     if let Some(out) = &args.out {
         file::write(out, &camera, true)?;
     }
@@ -120,8 +131,7 @@ pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
 const SLIP_RADIUS_M: f64 = 0.1;
 
 fn source(args: &Args) -> Result<PoseSource, CliError> {
-    let three = |v: &[f64]| [v[0], v[1], v[2]];
-    let placing = Placing { at: three(&args.at), facing: three(&args.facing), up: three(&args.up) };
+    let placing = Placing { at: args.at.0, facing: args.facing.0, up: args.up.0 };
     let photo = args.photo.clone();
     let positive = |name: &str, value: Option<f64>| {
         value
@@ -138,7 +148,7 @@ fn source(args: &Args) -> Result<PoseSource, CliError> {
         let board = Some(calibrate::board(corners, square_mm, None)?);
         return Ok(PoseSource::Board(BoardPose { photo, board, placing }));
     }
-    let (Some(px), Some(size)) = (&args.rectangle, &args.size_m) else {
+    let (Some(Numbers(px)), Some(Numbers(size))) = (&args.rectangle, &args.size_m) else {
         return Err(CliError::wrong("name a target: --tag, --board or --rectangle"));
     };
     let corners_px = std::array::from_fn(|i| [px[2 * i], px[2 * i + 1]]);
@@ -164,4 +174,17 @@ fn describe(summary: &Summary) -> String {
     lines.extend(pose.ambiguity.as_ref().map(|a| format!("also        {a}")));
     lines.extend(summary.out.as_ref().map(|out| format!("written     {}", out.display())));
     lines.join("\n")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_come_between_commas() {
+        assert_eq!("-0.1,0,2e-3".parse(), Ok(Numbers([-0.1, 0.0, 2e-3])));
+        for bad in ["", "1,2", "1,2,3,4", "1,2,x", "1,2,nan", "1 2 3"] {
+            assert!(bad.parse::<Numbers<3>>().is_err(), "{bad}");
+        }
+    }
 }
