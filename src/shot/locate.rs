@@ -301,3 +301,73 @@ impl FoundPose {
         slip::predicted_px(camera, self.scatter.as_ref()?, foot, normal, radius_m)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::shot::camera_keys::{BoardPose, RectanglePose};
+
+    const PLACING: Placing =
+        Placing { at: [0.1, 0.0, -0.2], facing: [0.0, 1.0, 0.0], up: [0.0, 0.0, -1.0] };
+
+    fn camera(eye: DVec3) -> Camera {
+        Camera {
+            width: 960,
+            height: 640,
+            lens: Lens::pinhole(940.0, 960, 640),
+            pose: Pose::look_at(eye, PLACING.at.into(), -DVec3::Z).unwrap(),
+        }
+    }
+
+    fn rectangle(camera: &Camera, size: [f64; 2]) -> PoseSource {
+        let p = PLACING;
+        let corners = planar_pose::rectangle_corners(
+            p.at.into(),
+            p.facing.into(),
+            p.up.into(),
+            size[0],
+            size[1],
+        )
+        .unwrap();
+        let corners_px = corners.map(|c| camera.project_world(c).unwrap().to_array());
+        PoseSource::Rectangle(RectanglePose { corners_px, size, placing: p })
+    }
+
+    #[test]
+    fn four_corners_of_a_rectangle_place_the_camera() {
+        let truth = camera(DVec3::new(0.4, 1.2, 1.5));
+        let source = rectangle(&truth, [0.45, 0.3]);
+        let found = find_pose(&source, &truth.lens, [960, 640], None).unwrap();
+        let (turn, shift) = truth.pose.difference(&found.pose);
+        assert!(turn.length() < 1e-8 && shift.length() < 1e-8, "{turn} {shift}");
+        assert!(found.report.ambiguity.is_some() && found.warnings.is_empty());
+        let slip = found.slip_px(&truth, DVec3::ZERO, DVec3::Y, 0.1).unwrap();
+        // Corners clicked to half a pixel cannot pin the ground to better than a quarter.
+        assert!((0.2..3.0).contains(&slip), "{slip}");
+    }
+
+    #[test]
+    fn a_small_rectangle_seen_face_on_is_ambiguous() {
+        let above = camera(DVec3::new(0.1, 3.0, -0.19));
+        let source = rectangle(&above, [0.2, 0.2]);
+        let error = find_pose(&source, &above.lens, [960, 640], None).unwrap_err();
+        assert!(error.to_string().contains("two poses fit equally"), "{error}");
+    }
+
+    #[test]
+    fn what_is_missing_is_named() {
+        let lens = Lens::pinhole(940.0, 960, 640);
+        let photo = PathBuf::from("/nowhere/tag.jpg");
+        let board = PoseSource::Board(BoardPose { photo, board: None, placing: PLACING });
+        let error = find_pose(&board, &lens, [960, 640], None).unwrap_err();
+        assert!(error.to_string().contains("describe the board"), "{error}");
+        let file = PoseSource::File(PathBuf::from("/nowhere/camera.json"));
+        let error = find_pose(&file, &lens, [960, 640], None).unwrap_err();
+        assert!(error.to_string().contains("/nowhere/camera.json"), "{error}");
+        let parallel = Placing { up: PLACING.facing, ..PLACING };
+        let corners_px = [[0.0, 0.0], [9.0, 0.0], [9.0, 9.0], [0.0, 9.0]];
+        let bad = RectanglePose { corners_px, size: [1.0, 1.0], placing: parallel };
+        let error = find_pose(&PoseSource::Rectangle(bad), &lens, [960, 640], None).unwrap_err();
+        assert!(error.to_string().contains("parallel"), "{error}");
+    }
+}
