@@ -183,6 +183,7 @@ fn build_tree(triangles: &[[Vec3; 3]]) -> Tree {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::scene::{Material, Place, Scene};
     use crate::trace::triangle::Shear;
 
     /// A small generator (PCG-like), so that the tests need no crate and never change.
@@ -241,8 +242,8 @@ mod tests {
         let at = |row: u32, column: u32| 1 + (row - 1) * columns + column % columns;
         let last = mesh.positions.len() as u32 - 1;
         for column in 0..columns {
-            mesh.triangles.push([0, at(1, column), at(1, column + 1)]);
-            mesh.triangles.push([last, at(rows - 1, column + 1), at(rows - 1, column)]);
+            mesh.triangles.push([0, at(1, column + 1), at(1, column)]);
+            mesh.triangles.push([last, at(rows - 1, column), at(rows - 1, column + 1)]);
             for row in 1..rows - 1 {
                 let (a, b) = (at(row, column), at(row, column + 1));
                 let (c, d) = (at(row + 1, column), at(row + 1, column + 1));
@@ -500,5 +501,38 @@ mod tests {
             }
         }
         assert!(accel.parts(32).len() > 8);
+    }
+
+    #[test]
+    fn rays_that_leave_a_convex_thing_never_meet_it_again_and_those_that_enter_do() {
+        // A small thing near the origin, one far off it, and a ball the size of a hall.
+        for (centre, radius) in [(0.0, 0.1), (0.0, 1.0), (500.0, 1.0), (0.0, 100.0)] {
+            let mut mesh = sphere(40, Vec3::ZERO);
+            for p in &mut mesh.positions {
+                *p = *p * radius + Vec3::splat(centre);
+            }
+            let scene = Scene {
+                objects: vec![mesh],
+                materials: vec![Material::default()],
+                ..Scene::default()
+            };
+            let accel = Accel::build(&[&scene.objects[0]]);
+            let mut random = Random(12);
+            for _ in 0..20_000 {
+                let ray = Ray::new(Vec3::splat(centre), random.direction());
+                let hit = accel.closest(&ray).unwrap();
+                let at = scene.surface(Place::Object, hit.mesh, hit.triangle, hit.u, hit.v);
+                // Grazing ones too: down to 1e-4 rad over the facet
+                let direction = random.direction();
+                let flat = direction - direction.dot(at.geometric_normal) * at.geometric_normal;
+                let rise = if random.next() < 0.5 { 1e-4 } else { random.next() };
+                let out =
+                    (flat.normalize_or(ray.direction) + rise * at.geometric_normal).normalize();
+                assert!(!accel.occluded(&Ray::new(at.origin_toward(out), out)), "{radius} {out}");
+                let inward = -at.geometric_normal + 0.9 * flat;
+                let inward = inward.normalize();
+                assert!(accel.occluded(&Ray::new(at.origin_toward(inward), inward)));
+            }
+        }
     }
 }
