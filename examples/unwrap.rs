@@ -39,11 +39,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     // Merge the bracket into radiance, with its variance.
     let photos = pictures::expand(&ball.photos)?.iter().map(read).collect::<Result<Vec<_>, _>>()?;
     let exposures = exposure::from_exif(&photos)?;
-    let frames: Vec<Frame> = photos
-        .iter()
-        .zip(exposures)
-        .map(|(photo, exposure)| Frame { photo, exposure })
-        .collect();
+    let frames: Vec<Frame> =
+        photos.iter().zip(exposures).map(|(photo, exposure)| Frame { photo, exposure }).collect();
     let merged = merge(&frames, &MergeOptions::default())?;
 
     // The camera at the place of the ball's photographs, through their cut-out.

@@ -202,7 +202,7 @@ fn check_part(
         return Err(PhotoError::unsupported(path, "luminance-chroma with subsampling", remedy));
     }
     let aspect = header.shared_attributes.pixel_aspect;
-    if !((aspect - 1.0).abs() < 1e-3) {
+    if aspect.is_nan() || (aspect - 1.0).abs() > 1e-3 {
         let found = format!("pixel aspect ratio {aspect}");
         return Err(PhotoError::unsupported(path, found, "resample it to square pixels"));
     }

@@ -30,7 +30,7 @@ pub(super) fn photo(path: &Path, format: Format, decoded: Decoded) -> Result<Pho
         .filter_map(|l| l.first_nonfinite)
         .next()
         .map(|first| NonFinite { pixels: lines.iter().map(|l| l.nonfinite).sum(), first });
-    let has_alpha = samples.channels() % 2 == 0;
+    let has_alpha = samples.channels().is_multiple_of(2);
     let mut linear = Vec::with_capacity(width * height);
     let mut alpha = Vec::with_capacity(if has_alpha { width * height } else { 0 });
     let mut clipped = Vec::with_capacity(width * height);
@@ -151,7 +151,7 @@ fn of_rows<T: Copy + Sync>(
     codes: Codes<impl Fn(T) -> f32 + Sync, impl Fn(T) -> f32 + Sync, impl Fn(T) -> bool + Sync>,
 ) -> Vec<Line> {
     let colours = if channels >= 3 { 3 } else { 1 };
-    let has_alpha = channels % 2 == 0;
+    let has_alpha = channels.is_multiple_of(2);
     let line = |(y, row): (usize, &[T])| {
         let mut line = Line {
             linear: Vec::with_capacity(width),
