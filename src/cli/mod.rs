@@ -11,6 +11,7 @@ mod check;
 mod error;
 mod locate;
 mod merge;
+mod panorama;
 mod preview;
 mod progress;
 mod run;
@@ -102,6 +103,7 @@ enum Command {
     Calibrate(calibrate::Args),
     Locate(locate::Args),
     Merge(merge::Args),
+    Panorama(panorama::Args),
     Preview(preview::Args),
     Targets(targets::Args),
 }
@@ -115,6 +117,7 @@ fn dispatch(command: &Command, global: &Global) -> Result<Outcome, CliError> {
         Command::Calibrate(args) => calibrate::run(args, global),
         Command::Locate(args) => locate::run(args, global),
         Command::Merge(args) => merge::run(args, global),
+        Command::Panorama(args) => panorama::run(args, global),
         Command::Preview(args) => preview::run(args, global),
         Command::Targets(args) => targets::run(args, global),
     }

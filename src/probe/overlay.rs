@@ -4,8 +4,8 @@ use glam::DVec2;
 
 use super::find::BallImage;
 use crate::camera::Lens;
-use crate::conventions::{Rgb, luminance};
-use crate::photo::Image;
+use crate::conventions::Rgb;
+use crate::photo::{Image, tone};
 
 /// The cut-out round the ball, brightened for display (linear, 1 is white), the rim in red and a
 /// cross at the direction of the centre; at most `side` px on a side.
@@ -18,12 +18,13 @@ pub fn overlay(picture: &Image<Rgb>, lens: &Lens, found: &BallImage, side: usize
     // Small balls are enlarged, large ones reduced.
     let scale = (side.max(16) as f64 / size.max_element()).min(8.0);
     let (width, height) = ((size.x * scale) as usize + 1, (size.y * scale) as usize + 1);
-    let gain = exposure(picture, least, most);
     let mut out = Image::from_fn(width, height, |x, y| {
         let p = least + DVec2::new(x as f64, y as f64) / scale;
         let (x, y) = ((p.x.round() as usize).min(w - 1), (p.y.round() as usize).min(h - 1));
-        gain * picture[(x, y)]
+        picture[(x, y)]
     });
+    let gain = tone::automatic_stops(&out).exp2();
+    out.pixels_mut().iter_mut().for_each(|l| *l *= gain);
     let mut mark = |pixel: DVec2| {
         let p = ((pixel - least) * scale).round();
         if p.x >= 0.0 && p.y >= 0.0 && p.x < width as f64 && p.y < height as f64 {
@@ -43,19 +44,6 @@ pub fn overlay(picture: &Image<Rgb>, lens: &Lens, found: &BallImage, side: usize
         mark(found.centre_px + DVec2::new(0.0, offset));
     }
     out
-}
-
-/// Factor that brings the mean of a region to a middle grey.
-fn exposure(picture: &Image<Rgb>, least: DVec2, most: DVec2) -> f32 {
-    let (mut sum, mut n) = (0.0, 0.0);
-    for y in least.y as usize..=most.y.max(0.0) as usize {
-        for x in least.x as usize..=most.x.max(0.0) as usize {
-            sum += picture.get(x, y).map_or(0.0, |l| f64::from(luminance(*l)).min(1e6).ln_1p());
-            n += 1.0;
-        }
-    }
-    let mean = (sum / f64::max(n, 1.0)).exp_m1();
-    if mean > 0.0 { (0.2 / mean) as f32 } else { 1.0 }
 }
 
 #[cfg(test)]

@@ -1,0 +1,450 @@
+//! `platelight panorama`: photographs of a light probe → lat-long panorama.
+
+use std::path::{Path, PathBuf};
+
+use glam::{DMat3, DVec2, DVec3, Vec3};
+use serde::Serialize;
+
+use super::{CliError, Global, Outcome};
+use crate::bracket::{self, Frame, MergeOptions, Radiance, Validity, exposure};
+use crate::camera::lens::focal_px_from_35mm;
+use crate::camera::{self, Camera, Lens, Pose};
+use crate::conventions::{Rgb, luminance};
+use crate::photo::tone::{self, ToneCurve};
+use crate::photo::{
+    self, Encoding, EncodingSource, Format, Image, Photo, Primaries, ReadOptions, Transfer, colour,
+    png,
+};
+use crate::probe::find::{BallImage, Hints, find};
+use crate::probe::fisheye::{Fisheye, Projection};
+use crate::probe::overlay::overlay;
+use crate::probe::resample::to_lat_long;
+use crate::probe::unwrap::{check_width, natural_width, unwrap_ball};
+use crate::probe::{Ball, Panorama, clipped_regions, file};
+
+/// Turn photographs of a mirror ball or fisheye, or any map of directions, into a lat-long panorama
+///
+/// Several photographs are a bracket and are merged first. A ball is found without help; look at
+/// --overlay, and give --hint where it is wrong. The panorama's axes are the camera's (it looked
+/// along -Z, +Y up) unless --camera holds a pose; --rotation turns them. Its unit is the
+/// photographs' linear value divided by their exposure; layers hold variance, validity and coverage.
+#[derive(Debug, clap::Args)]
+#[command(
+    after_help = "Examples:\n  platelight panorama ball_b*.jpg --ball --camera camera.json -o pano.exr --preview pano.png\n  \
+                        platelight panorama ball.jpg --ball --focal-px 1264 --hint 755,549,73 -o pano.exr\n  \
+                        platelight panorama sky.exr --fisheye equidistant --fov 180 --rotation -90,0,0 -o pano.exr\n  \
+                        platelight panorama grace_probe.hdr --angular -o grace.exr"
+)]
+pub struct Args {
+    /// The photographs of one bracket, or one picture
+    #[arg(required = true, value_name = "PHOTO")]
+    photos: Vec<PathBuf>,
+    /// The EXR to write
+    #[arg(long, short, value_name = "FILE")]
+    out: PathBuf,
+    #[command(flatten)]
+    kind: Kind,
+    /// The ball's centre and radius in pixels, if it is not found
+    #[arg(long, value_name = "U,V,R", value_delimiter = ',', requires = "ball")]
+    hint: Option<Vec<f64>>,
+    /// The lens (and pose): camera.json, OpenCV's YAML or COLMAP's cameras.txt
+    #[arg(long, value_name = "FILE", conflicts_with = "focal_px", requires = "ball")]
+    camera: Option<PathBuf>,
+    /// Focal length in pixels [default: EXIF's 35-mm equivalent, right only for uncropped photographs]
+    #[arg(long, value_name = "F", requires = "ball")]
+    focal_px: Option<f64>,
+    /// Share of light the ball reflects: one number or one for each of R,G,B
+    #[arg(long, value_name = "R,G,B", value_delimiter = ',', requires = "ball")]
+    reflectance: Option<Vec<f32>>,
+    /// The ball's radius in metres; says how far away it stands, no direction depends on it
+    #[arg(long, value_name = "M", default_value_t = 0.05, requires = "ball")]
+    radius: f64,
+    /// The same view without the ball: helps to find it
+    #[arg(long, value_name = "FILE", requires = "ball")]
+    clean_plate: Option<PathBuf>,
+    /// Angle across the fisheye's image circle, degrees
+    #[arg(long, value_name = "DEG", default_value_t = 180.0, requires = "fisheye")]
+    fov: f64,
+    /// The fisheye's image circle in pixels [default: inscribed in the picture]
+    #[arg(long, value_name = "U,V,R", value_delimiter = ',', requires = "fisheye")]
+    circle: Option<Vec<f64>>,
+    /// Turn the panorama about X, then Y, then Z, degrees
+    #[arg(long, value_name = "X,Y,Z", value_delimiter = ',', allow_hyphen_values = true)]
+    rotation: Option<Vec<f64>>,
+    /// Shutter times in seconds, one for each photograph [default: exposures from EXIF]
+    #[arg(long, value_delimiter = ',', value_name = "TIMES")]
+    times: Option<Vec<String>>,
+    /// Texels across; the height is half [default: as fine as the photograph]
+    #[arg(long, value_name = "N")]
+    width: Option<usize>,
+    /// Also write the panorama as a PNG to look at
+    #[arg(long, value_name = "PNG")]
+    preview: Option<PathBuf>,
+    /// Also write the photograph with the found rim as a PNG
+    #[arg(long, value_name = "PNG", requires = "ball")]
+    overlay: Option<PathBuf>,
+    /// Colour space of the photographs, where they do not say it themselves
+    #[arg(long, alias = "color", default_value = "auto", value_name = "NAME")]
+    colour: String,
+}
+
+/// What the photographs show.
+#[derive(Debug, clap::Args)]
+#[group(required = true, multiple = false)]
+struct Kind {
+    /// A mirror ball
+    #[arg(long)]
+    ball: bool,
+    /// A fisheye's picture
+    #[arg(long, value_enum, value_name = "PROJECTION")]
+    fisheye: Option<FisheyeKind>,
+    /// Debevec's angular map (-Z in the middle)
+    #[arg(long)]
+    angular: bool,
+    /// An orthographic mirror-ball map, made in that mapping (+Z in the middle)
+    #[arg(long)]
+    ball_map: bool,
+    /// A horizontal cube cross, 4 x 3 faces (-Z in the second)
+    #[arg(long)]
+    cube: bool,
+    /// A lat-long
+    #[arg(long)]
+    lat_long: bool,
+}
+
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+enum FisheyeKind {
+    Equidistant,
+    Equisolid,
+    Stereographic,
+    Orthographic,
+}
+
+/// What came out, for people and machines.
+#[derive(Serialize)]
+struct Summary {
+    out: PathBuf,
+    width: usize,
+    height: usize,
+    ball: Option<BallSummary>,
+    /// Share of all directions that was not seen and is filled.
+    filled: f64,
+    /// Irradiance on a level surface, the panorama's unit.
+    irradiance_up: [f32; 3],
+    clipped: Vec<ClippedSummary>,
+    warnings: Vec<String>,
+}
+
+#[derive(Serialize)]
+struct BallSummary {
+    centre_px: [f64; 2],
+    radius_px: f64,
+    sigma_px: f64,
+    sigma_direction_deg: f64,
+    inliers: f64,
+    /// `None`: the hint was taken as it is.
+    score: Option<f64>,
+}
+
+#[derive(Serialize)]
+struct ClippedSummary {
+    direction: [f64; 3],
+    solid_angle_sr: f64,
+    flux_at_least: [f32; 3],
+    place: String,
+}
+
+pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
+    if let Some(width) = args.width {
+        check_width(width)?;
+    }
+    let mut warnings = Vec::new();
+    let rotation =
+        file::rotation_xyz_deg(triple("--rotation", args.rotation.as_deref())?.unwrap_or_default());
+    let (panorama, found) = match layout(&args.kind) {
+        Some(layout) => {
+            let [path] = args.photos.as_slice() else {
+                return Err(CliError::wrong("a map of directions is one picture, not a bracket"));
+            };
+            (file::read(path, layout, rotation, args.width)?, None)
+        }
+        None => {
+            let (panorama, found) = photographed(args, &mut warnings)?;
+            (panorama.rotated(rotation), found)
+        }
+    };
+    let panorama = in_world_axes(panorama);
+    file::write(&args.out, &panorama)?;
+    if let Some(path) = &args.preview {
+        let shown = tone::automatic_stops(&panorama.radiance);
+        write_png(path, &tone::display(&panorama.radiance, shown, ToneCurve::Reinhard))?;
+    }
+    let summary = summary(args, &panorama, found.as_ref(), warnings);
+    for warning in &summary.warnings {
+        global.warn(warning);
+    }
+    global.print(&summary, || text(&summary));
+    Ok(Outcome::Done)
+}
+
+fn layout(kind: &Kind) -> Option<file::Layout> {
+    let layouts = [
+        (kind.angular, file::Layout::Angular),
+        (kind.ball_map, file::Layout::BallMap),
+        (kind.cube, file::Layout::Cube),
+        (kind.lat_long, file::Layout::LatLong),
+    ];
+    layouts.into_iter().find(|(chosen, _)| *chosen).map(|(_, layout)| layout)
+}
+
+/// A file's texels are in the world's axes: a turned panorama is resampled once.
+fn in_world_axes(panorama: Panorama) -> Panorama {
+    let turn = panorama.world_from_panorama;
+    if turn.angle_between(glam::DQuat::IDENTITY) < 1e-12 {
+        return panorama;
+    }
+    let mapping =
+        crate::probe::mapping::LatLong { width: panorama.width(), height: panorama.height() };
+    let source = Radiance {
+        mean: panorama.radiance,
+        variance: panorama.variance,
+        validity: panorama.validity,
+    };
+    let back = DMat3::from_quat(turn.conjugate());
+    let mut turned = to_lat_long(&source, &mapping, back, mapping.width);
+    turned.place = panorama.place;
+    let coverage = |l: Image<f32>| Radiance {
+        mean: l.map(|c| Rgb::splat(*c)),
+        variance: l.map(|_| Rgb::ZERO),
+        validity: l.map(|_| Validity::Measured),
+    };
+    let seen = to_lat_long(&coverage(panorama.coverage), &mapping, back, mapping.width);
+    turned.coverage = seen.radiance.map(|c| c.x);
+    turned
+}
+
+/// Ball or fisheye: merge, find, unwrap.
+fn photographed(
+    args: &Args,
+    warnings: &mut Vec<String>,
+) -> Result<(Panorama, Option<BallImage>), CliError> {
+    let options = ReadOptions { colour: colour::named(&args.colour)?, ..ReadOptions::default() };
+    let photos: Vec<Photo> =
+        args.photos.iter().map(|path| photo::read(path, &options)).collect::<Result<_, _>>()?;
+    let radiance = radiance(args, &photos, warnings)?;
+    let (w, h) = (radiance.mean.width(), radiance.mean.height());
+    if let Some(kind) = args.kind.fisheye {
+        let fisheye = fisheye(args, kind, w, h)?;
+        let reach =
+            triple("--circle", args.circle.as_deref())?.map_or(w.min(h) as f64 / 2.0, |c| c[2]);
+        let width = args.width.unwrap_or_else(|| natural_width(reach));
+        return Ok((to_lat_long(&radiance, &fisheye, DMat3::IDENTITY, width), None));
+    }
+    let camera = ball_camera(args, &photos[0], w, h)?;
+    let plate = match &args.clean_plate {
+        Some(path) => Some(photo::read(path, &options)?.linear),
+        None => None,
+    };
+    let hints =
+        Hints { circle_px: triple("--hint", args.hint.as_deref())?, clean_plate: plate.as_ref() };
+    let found = find(&radiance.mean, &camera.lens, &hints)?;
+    if found.score.is_none() {
+        warnings.push(
+            "the rim could not be measured; the hint was taken as it is (1 % of its radius is \
+             assumed as its error)"
+                .into(),
+        );
+    }
+    if let Some([u, v, r]) = found.rival_px {
+        warnings.push(format!(
+            "another place looks nearly as much like a ball: {u:.0},{v:.0},{r:.0}; look at \
+             --overlay, and give --hint if the wrong one was taken"
+        ));
+    }
+    if let Some(path) = &args.overlay {
+        let drawn = overlay(&radiance.mean, &camera.lens, &found, 800);
+        write_png(path, &drawn)?;
+    }
+    let reflectance = match args.reflectance.as_deref() {
+        Some(&[all]) => Rgb::splat(all),
+        Some(&[r, g, b]) => Vec3::new(r, g, b),
+        Some(_) => return Err(CliError::wrong("--reflectance: give one number or three")),
+        None => {
+            warnings.push(
+                "--reflectance is not given: the ball is taken as perfect, and the light comes out \
+                 too dark by its reflectance (chrome 0.55, good steel 0.6)"
+                    .into(),
+            );
+            Rgb::ONE
+        }
+    };
+    let distance = args.radius / found.rim.half_angle_rad.sin();
+    let centre = camera.pose.position() + camera.pose.rotation() * found.rim.axis * distance;
+    let ball = Ball::new(centre, args.radius, reflectance)?;
+    let width = args.width.unwrap_or_else(|| natural_width(found.radius_px));
+    let panorama = unwrap_ball(&radiance, &camera, &found.rim, &ball, None, width)?;
+    Ok((panorama, Some(found)))
+}
+
+/// The photographs as radiance: a merged EXR as it is, a bracket or a single photograph merged.
+fn radiance(
+    args: &Args,
+    photos: &[Photo],
+    warnings: &mut Vec<String>,
+) -> Result<Radiance, CliError> {
+    if let [only] = photos
+        && matches!(only.format, Format::Exr | Format::RadianceHdr)
+    {
+        if only.format == Format::Exr
+            && let Ok(merged) = bracket::file::read(&args.photos[0])
+        {
+            return Ok(merged);
+        }
+        return Ok(Radiance {
+            mean: only.linear.map(|l| l.max(Rgb::ZERO)),
+            variance: only.linear.map(|_| Rgb::ZERO),
+            validity: only.linear.map(|_| Validity::Measured),
+        });
+    }
+    let exposures = match &args.times {
+        Some(times) => {
+            let times =
+                times.iter().map(|t| exposure::parse_time(t)).collect::<Result<Vec<_>, _>>()?;
+            exposure::from_times(photos, &times)?
+        }
+        // One photograph needs no exposure to have a scale.
+        None if photos.len() == 1 => vec![exposure::exposure(&photos[0].facts).unwrap_or(1.0)],
+        None => exposure::from_exif(photos)?,
+    };
+    let frames: Vec<Frame> =
+        photos.iter().zip(&exposures).map(|(photo, &exposure)| Frame { photo, exposure }).collect();
+    let merged = bracket::merge(&frames, &MergeOptions::default())?;
+    warnings.extend(merged.warnings.iter().map(ToString::to_string));
+    Ok(merged.radiance)
+}
+
+fn fisheye(args: &Args, kind: FisheyeKind, w: usize, h: usize) -> Result<Fisheye, CliError> {
+    let projection = match kind {
+        FisheyeKind::Equidistant => Projection::Equidistant,
+        FisheyeKind::Equisolid => Projection::Equisolid,
+        FisheyeKind::Stereographic => Projection::Stereographic,
+        FisheyeKind::Orthographic => Projection::Orthographic,
+    };
+    Ok(match triple("--circle", args.circle.as_deref())? {
+        Some([u, v, r]) => Fisheye::new(projection, args.fov, DVec2::new(u, v), r)?,
+        None => Fisheye::inscribed(projection, args.fov, w, h)?,
+    })
+}
+
+/// The camera of the ball's photographs: a file, a focal length, or EXIF.
+fn ball_camera(args: &Args, photo: &Photo, w: usize, h: usize) -> Result<Camera, CliError> {
+    if let Some(path) = &args.camera {
+        let camera = camera::file::read(path)?.camera;
+        if (camera.width, camera.height) != (w, h) {
+            let (cw, ch, path) = (camera.width, camera.height, path.display());
+            return Err(CliError::wrong(format!(
+                "{path}: the camera is of {cw} × {ch} px, the photographs of {w} × {h} px; calibrate \
+                 with photographs of the same size"
+            )));
+        }
+        return Ok(camera);
+    }
+    let exif = || focal_px_from_35mm(photo.facts.focal_35mm?, w, h);
+    let focal = args.focal_px.or_else(exif).filter(|f| f.is_finite() && *f > 0.0);
+    let focal = focal.ok_or_else(|| {
+        let path = photo.path.display();
+        CliError::wrong(format!(
+            "{path}: no focal length in EXIF; give --camera camera.json or --focal-px (focal length \
+             in mm / sensor width in mm × picture width in px)"
+        ))
+    })?;
+    let lens = Lens::pinhole(focal, w, h);
+    Ok(Camera { width: w, height: h, lens, pose: Pose::identity() })
+}
+
+/// The three numbers of an option, if it was given.
+fn triple(option: &str, values: Option<&[f64]>) -> Result<Option<[f64; 3]>, CliError> {
+    let Some(values) = values else { return Ok(None) };
+    let three = values.try_into().map_err(|_| {
+        CliError::wrong(format!("{option}: {} numbers were given, three are needed", values.len()))
+    })?;
+    Ok(Some(three))
+}
+
+fn write_png(path: &Path, shown: &Image<Rgb>) -> Result<(), CliError> {
+    let encoding = Encoding {
+        transfer: Transfer::Srgb,
+        primaries: Primaries::Rec709,
+        source: EncodingSource::Named,
+    };
+    png::write(path, &png::srgb_codes(shown), shown.width(), shown.height(), &encoding)?;
+    Ok(())
+}
+
+fn summary(
+    args: &Args,
+    panorama: &Panorama,
+    found: Option<&BallImage>,
+    mut warnings: Vec<String>,
+) -> Summary {
+    let regions = clipped_regions(panorama);
+    let whole = f64::from(luminance(panorama.mean())) * 4.0 * std::f64::consts::PI;
+    for region in &regions {
+        let share = f64::from(luminance(region.lower_bound)) / whole;
+        if share > 0.01 {
+            warnings.push(format!(
+                "clipped in every photograph: {region}; at least {:.0} % of all light comes from there; \
+                 add a shorter exposure",
+                100.0 * share
+            ));
+        }
+    }
+    Summary {
+        out: args.out.clone(),
+        width: panorama.width(),
+        height: panorama.height(),
+        ball: found.map(|b| BallSummary {
+            centre_px: b.centre_px.to_array(),
+            radius_px: b.radius_px,
+            sigma_px: b.sigma_px,
+            sigma_direction_deg: b.rim.sigma_direction_rad().to_degrees(),
+            inliers: b.rim.inlier_fraction,
+            score: b.score,
+        }),
+        filled: panorama.share(Validity::Filled),
+        irradiance_up: panorama.irradiance(DVec3::Y).to_array(),
+        clipped: regions
+            .iter()
+            .map(|r| ClippedSummary {
+                direction: r.direction.to_array(),
+                solid_angle_sr: r.solid_angle,
+                flux_at_least: r.lower_bound.to_array(),
+                place: r.to_string(),
+            })
+            .collect(),
+        warnings,
+    }
+}
+
+fn text(summary: &Summary) -> String {
+    let (w, h) = (summary.width, summary.height);
+    let mut lines = vec![format!("{}: {w} × {h} texels", summary.out.display())];
+    if let Some(b) = &summary.ball {
+        lines.push(format!(
+            "  ball at ({:.1}, {:.1}) px, radius {:.1} px, ± {:.2} px: directions ± {:.2}°",
+            b.centre_px[0], b.centre_px[1], b.radius_px, b.sigma_px, b.sigma_direction_deg
+        ));
+    }
+    let [r, g, b] = summary.irradiance_up;
+    lines.push(format!("  irradiance from above {r:.4} {g:.4} {b:.4}"));
+    if summary.filled > 0.0 {
+        lines.push(format!(
+            "  not seen and filled: {:.1} % of all directions",
+            100.0 * summary.filled
+        ));
+    }
+    for region in summary.clipped.iter().take(5) {
+        lines.push(format!("  clipped: {}", region.place));
+    }
+    lines.join("\n")
+}
