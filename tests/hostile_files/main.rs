@@ -46,9 +46,9 @@ unsafe impl GlobalAlloc for Watching {
 #[global_allocator]
 static ALLOCATOR: Watching = Watching;
 
-/// The limit on samples is 16 MiB; a growing vector may double beyond it, and the linear picture of
-/// 8-bit grey samples is twelve times as large as they are.
-const LARGEST_ALLOWED: usize = 13 * formats::MAX_BYTES as usize;
+/// The limit on samples is 16 MiB, and the linear picture of 8-bit grey samples is twelve times as
+/// large as they are; but the TIFF decoder takes up to 256 MiB for one tag before it can be told less.
+const LARGEST_ALLOWED: usize = 17 * formats::MAX_BYTES as usize;
 
 thread_local! {
     /// True while a format reads: its caught panics are not news.
