@@ -7,6 +7,7 @@
 pub mod clipped;
 pub mod environment;
 pub mod near_field;
+mod patch;
 pub mod sun;
 pub mod table;
 

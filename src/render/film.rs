@@ -54,6 +54,12 @@ impl std::ops::Mul<f32> for Sample {
     }
 }
 
+/// L_without, brought to the mean albedo, is taken for at least this share of the plate: a few
+/// unlucky samples in a penumbra can leave it near zero, and the quotient would be anything.
+const LEAST_WITHOUT: f32 = 0.05;
+/// Largest correction of the quotient's bias, relative to the quotient.
+const LARGEST_CORRECTION: f32 = 0.25;
+
 /// Sums over the replicates of one pixel.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Pixel {
@@ -102,7 +108,8 @@ impl Pixel {
         let n = replicates as f32;
         let mean = self.sum * (1.0 / n);
         let lit = mean.without.cmpgt(Vec3::splat(dark));
-        let base = Vec3::select(lit, mean.without, Vec3::ONE);
+        let floor = plate * LEAST_WITHOUT;
+        let base = Vec3::select(lit, mean.without.max(floor), Vec3::ONE);
         let moment = |sum: Vec3, x: Vec3, y: Vec3| {
             if replicates > 1 { (sum / n - x * y) * (n / (n - 1.0)) } else { Vec3::ZERO }
         };
@@ -111,7 +118,10 @@ impl Pixel {
         let var_b = moment(self.bb, b, b);
         let cov_ab = moment(self.ab, a, b);
         let quotient = a / base;
-        let unbiased = quotient - (quotient * var_b - cov_ab) / (base * base * n);
+        // Two replicates know their scatter badly: the correction may not rule the value.
+        let most = LARGEST_CORRECTION * quotient.abs();
+        let bias = ((quotient * var_b - cov_ab) / (base * base * n)).clamp(-most, most);
+        let unbiased = quotient - bias;
         let ratio = Vec3::select(lit, unbiased * mean.local, Vec3::ZERO);
         let of_plate = if mean.local > 0.0 { mean.plate / mean.local } else { 0.0 };
         let difference = mean.own + plate * ratio * of_plate;
@@ -191,6 +201,18 @@ mod tests {
         let e = pixel.estimate(1, Rgb::ONE, 1e-6);
         assert_eq!(e.ratio, Rgb::new(0.0, 1.0, 0.0));
         assert!(e.variance.is_finite());
+    }
+
+    #[test]
+    fn an_unlucky_base_cannot_make_a_firefly() {
+        let mut pixel = Pixel::default();
+        for without in [1.0, -0.999] {
+            let (delta, without) = (Rgb::splat(-0.1), Rgb::splat(without));
+            pixel.add(Sample { local: 1.0, plate: 1.0, delta, without, ..Sample::default() });
+        }
+        let e = pixel.estimate(2, Rgb::ONE, 1e-6);
+        // −0.1 over at least 0.05, and a quarter for the correction.
+        assert!(e.ratio.abs().max_element() < 2.51, "{e:?}");
     }
 
     #[test]
