@@ -13,10 +13,10 @@ use glam::DVec3;
 use platelight::bracket::{Frame, MergeOptions, exposure, merge};
 use platelight::camera::{Camera, file};
 use platelight::photo::{self, ReadOptions};
-use platelight::probe::{Ball, clipped_regions, find, unwrap};
+use platelight::probe::{self, Ball, clipped_regions, find, unwrap};
 use platelight::shot::camera_keys::CameraSource;
 use platelight::shot::probe_keys::ProbeSource;
-use platelight::shot::{ShotFile, exposures, locate, pictures, write};
+use platelight::shot::{ShotFile, exposures, locate, pictures};
 
 #[derive(Parser)]
 struct Args {
@@ -74,7 +74,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let scale = exposures::plate_scale(&plate, &keys.exposure, keys.relative_exposure)?.factor;
     let up = panorama.irradiance(DVec3::Y) * scale as f32;
     println!("irradiance of the ground: {up:.3} (plate's linear values)");
-    write::panorama_exr(&args.out, &panorama, scale)?;
+    probe::file::write(&args.out, &panorama.scaled(scale as f32))?;
     println!("wrote {} ({texels} × {})", args.out.display(), texels / 2);
     Ok(())
 }

@@ -86,26 +86,25 @@ fn predicted_time(plan: &Plan) -> String {
     match plan.shot.render.stop {
         StopKeys::Time(seconds) => format!("{seconds:.0} s of rendering, as asked for"),
         StopKeys::Samples(samples) => {
-            format!("{} of rendering", span(cpu_seconds(plan, f64::from(samples))))
+            format!("{} of rendering", span(seconds(plan, f64::from(samples))))
         }
-        // Noise falls with the root of the samples; 1 % took about 100 a pixel.
+        // Noise falls with the root of the samples.
         StopKeys::Error(error) => {
-            format!(
-                "about {} of rendering",
-                span(cpu_seconds(plan, 100.0 * (0.01 / error).powi(2)))
-            )
+            let samples = SAMPLES_FOR_ONE_PERCENT * (0.01 / error).powi(2);
+            format!("about {} of rendering", span(seconds(plan, samples)))
         }
     }
 }
 
-/// Seconds on this machine's cores for `samples` in every influenced pixel.
-fn cpu_seconds(plan: &Plan, samples: f64) -> f64 {
+/// Samples a pixel with which the truth scenes reach an error of 1 %.
+const SAMPLES_FOR_ONE_PERCENT: f64 = 1000.0;
+
+/// Seconds on this machine's cores for `samples` in every pixel.
+fn seconds(plan: &Plan, samples: f64) -> f64 {
     /// Camera samples of one core in a second.
     const RATE: f64 = 300_000.0;
-    /// Share of the plate that objects influence.
-    const INFLUENCED: f64 = 0.3;
     let pixels = plan.plate.linear.pixels().len() as f64;
-    INFLUENCED * pixels * samples / RATE / rayon::current_num_threads() as f64
+    pixels * samples / RATE / rayon::current_num_threads() as f64
 }
 
 fn span(seconds: f64) -> String {

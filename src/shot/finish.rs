@@ -12,6 +12,7 @@ use super::{overlays, place};
 use crate::camera;
 use crate::composite::{Composite, compose};
 use crate::photo::Image;
+use crate::probe;
 use crate::render::Difference;
 use crate::report::{self, CompositeReport, Picture, RenderReport, Report, Warning};
 
@@ -61,7 +62,7 @@ pub fn finish(
     )?;
     outputs.wrote(exr_path);
     let panorama_path = files.path("panorama", "exr");
-    write::panorama_exr(&panorama_path, &prepared.light.panorama, plan.scale.factor)?;
+    probe::file::write(&panorama_path, &prepared.light.panorama)?;
     outputs.wrote(panorama_path);
     let camera_path = files.path("camera", "json");
     camera::file::write(&camera_path, &prepared.camera, true)

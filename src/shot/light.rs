@@ -2,7 +2,7 @@
 
 use std::f64::consts::PI;
 
-use glam::{DMat3, DQuat, DVec2, DVec3};
+use glam::{DMat3, DVec2, DVec3};
 
 use super::exposures::Scale;
 use super::place;
@@ -12,12 +12,13 @@ use super::probe_keys::{
     Suns,
 };
 use crate::bracket::{self, Radiance, Validity};
-use crate::camera::{Camera, Distortion, Lens};
+use crate::camera::Camera;
 use crate::conventions::{Rgb, luminance};
 use crate::light::clipped::{self, Stage};
 use crate::light::{Disc, LightOptions, Lights, SunSplit};
 use crate::photo::{Image, Photo};
-use crate::probe::mapping::{Angular, CubeCross, Mapping, Through};
+use crate::probe::file::{self, Layout, rotation_xyz_deg};
+use crate::probe::fisheye::{self, Projection};
 use crate::probe::resample::to_lat_long;
 use crate::probe::unwrap::{Support, natural_width, unwrap_ball};
 use crate::probe::{Ball, ClippedRegion, Panorama, Rim, clipped_regions, find};
@@ -69,7 +70,7 @@ pub fn unwrap(plan: &Plan, ball_camera: Option<Camera>) -> Result<Unwrapped, Str
             unwrap_fisheye(plan, keys).map_err(|e| format!("{shot}: probe.fisheye: {e}"))
         }
         ProbeSource::Panorama(keys) => {
-            take_panorama(plan, keys).map_err(|e| format!("{shot}: probe.panorama: {e}"))
+            take_panorama(keys).map_err(|e| format!("{shot}: probe.panorama: {e}"))
         }
     }
 }
@@ -117,15 +118,15 @@ fn unwrap_fisheye(plan: &Plan, keys: &Fisheye) -> Result<Unwrapped, String> {
     let (w, h) = (radiance.mean.width() as f64, radiance.mean.height() as f64);
     let [cx, cy, radius_px] =
         keys.circle_px.unwrap_or([(w - 1.0) / 2.0, (h - 1.0) / 2.0, w.min(h) / 2.0]);
-    if !(radius_px.is_finite() && radius_px >= 2.0) {
-        return Err(format!("circle_px: a radius of {radius_px} px shows nothing; give u, v, r"));
-    }
-    let lens = fisheye_lens(keys, [cx, cy, radius_px]);
-    let camera_from_world = DMat3::from_quat(place::rotation(keys.rotation).inverse());
-    let width = natural_width(radius_px);
-    let mapping =
-        Circle { through: Through { lens: &lens }, centre: DVec2::new(cx, cy), radius_px };
-    let mut panorama = to_lat_long(&radiance, &mapping, camera_from_world, width);
+    let projection = match keys.mapping {
+        FisheyeMapping::Equidistant => Projection::Equidistant,
+        FisheyeMapping::Equisolid => Projection::Equisolid,
+    };
+    let fisheye = fisheye::Fisheye::new(projection, keys.fov_deg, DVec2::new(cx, cy), radius_px)
+        .map_err(|error| error.to_string())?;
+    let camera_from_world = DMat3::from_quat(rotation_xyz_deg(keys.rotation).inverse());
+    let mut panorama =
+        to_lat_long(&radiance, &fisheye, camera_from_world, natural_width(radius_px));
     panorama.place = keys.at.into();
     let report = ProbeReport {
         source: format!("fisheye, {} photographs", plan.probe_photos.len()),
@@ -134,89 +135,19 @@ fn unwrap_fisheye(plan: &Plan, keys: &Fisheye) -> Result<Unwrapped, String> {
     Ok(Unwrapped { panorama, ball: None, report, warnings })
 }
 
-/// Both mappings are Kannala–Brandt polynomials: equidistant with no coefficient, equisolid
-/// 2f sin(θ/2) by its series (to 1e-8 rad at 90° off the axis).
-fn fisheye_lens(keys: &Fisheye, [cx, cy, radius_px]: [f64; 3]) -> Lens {
-    let edge = (0.5 * keys.fov_deg).to_radians();
-    let (focal, [k1, k2, k3, k4]) = match keys.mapping {
-        FisheyeMapping::Equidistant => (radius_px / edge, [0.0; 4]),
-        FisheyeMapping::Equisolid => (
-            radius_px / (2.0 * (0.5 * edge).sin()),
-            [-1.0 / 24.0, 1.0 / 1920.0, -1.0 / 322_560.0, 1.0 / 92_897_280.0],
-        ),
+fn take_panorama(keys: &PanoramaKeys) -> Result<Unwrapped, String> {
+    let layout = match keys.mapping {
+        PanoramaMapping::LatLong => Layout::LatLong,
+        PanoramaMapping::Angular => Layout::Angular,
+        PanoramaMapping::BallMap => Layout::BallMap,
+        PanoramaMapping::Cube => Layout::Cube,
     };
-    Lens {
-        fx: focal,
-        fy: focal,
-        cx,
-        cy,
-        distortion: Distortion::KannalaBrandt { k1, k2, k3, k4 },
-        covariance: None,
-    }
-}
-
-/// A fisheye's image circle: nothing outside it is a picture.
-struct Circle<'a> {
-    through: Through<'a>,
-    centre: DVec2,
-    radius_px: f64,
-}
-
-impl Mapping for Circle<'_> {
-    fn pixel(&self, direction: DVec3) -> Option<DVec2> {
-        self.through.pixel(direction).filter(|&p| p.distance(self.centre) <= self.radius_px)
-    }
-
-    fn direction(&self, pixel: DVec2) -> Option<DVec3> {
-        // Half a pixel more, so that pixels cut by the circle are not lost to differences.
-        let inside = pixel.distance(self.centre) <= self.radius_px + 0.5;
-        if inside { self.through.direction(pixel) } else { None }
-    }
-}
-
-fn take_panorama(plan: &Plan, keys: &PanoramaKeys) -> Result<Unwrapped, String> {
-    let photo = plan.probe_photos.first().ok_or("its file was not read")?;
-    let (width, height) = (photo.linear.width(), photo.linear.height());
-    let file = photo.path.display();
-    let radiance = as_radiance(photo);
-    // Same lat-long axes: taken as it is, without resampling.
-    let mut panorama = match keys.mapping {
-        PanoramaMapping::LatLong => {
-            if width != 2 * height {
-                return Err(format!(
-                    "{file}: {width} × {height} px is no lat-long, its width is twice its height; \
-                     if it is an angular map or a cube cross, say mapping = \"angular\" or \"cube\""
-                ));
-            }
-            Panorama {
-                variance: radiance.variance,
-                validity: radiance.validity,
-                ..Panorama::from_radiance(radiance.mean)
-            }
-        }
-        PanoramaMapping::Angular => {
-            if width != height {
-                return Err(format!("{file}: {width} × {height} px; an angular map is square"));
-            }
-            let out = (2 * width).clamp(16, 4096) & !1;
-            to_lat_long(&radiance, &Angular { size: width }, DMat3::IDENTITY, out)
-        }
-        PanoramaMapping::Cube => {
-            let face = width / 3;
-            if face == 0 || width != 3 * face || height != 4 * face {
-                return Err(format!(
-                    "{file}: {width} × {height} px; a cube is a vertical cross, 3 × 4 faces"
-                ));
-            }
-            let out = (4 * face).clamp(16, 4096) & !1;
-            to_lat_long(&radiance, &CubeCross { face }, DMat3::IDENTITY, out)
-        }
-    };
-    panorama.world_from_panorama = place::rotation(keys.rotation) * DQuat::IDENTITY;
+    let mut panorama = file::read(&keys.file, layout, rotation_xyz_deg(keys.rotation), None)
+        .map_err(|error| error.to_string())?;
     panorama.place = keys.at.into();
-    let report = ProbeReport { source: format!("panorama {file}"), ..ProbeReport::default() };
-    let warnings = Vec::new();
-    Ok(Unwrapped { panorama, ball: None, report, warnings })
+    let source = format!("panorama {}", keys.file.display());
+    let report = ProbeReport { source, ..ProbeReport::default() };
+    Ok(Unwrapped { panorama, ball: None, report, warnings: Vec::new() })
 }
 
 /// The probe's photographs as one picture of radiance.
@@ -472,32 +403,6 @@ fn sigma_irradiance(panorama: &Panorama) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    fn keys(mapping: FisheyeMapping, fov_deg: f64) -> Fisheye {
-        Fisheye {
-            photos: "f.exr".into(),
-            exposures: Vec::new(),
-            mapping,
-            fov_deg,
-            circle_px: None,
-            rotation: [0.0; 3],
-            at: [0.0; 3],
-        }
-    }
-
-    #[test]
-    fn fisheye_lenses_put_angles_where_their_formula_says() {
-        for theta in [0.1f64, 0.7, 1.3, 1.55] {
-            let direction = DVec3::new(theta.sin(), 0.0, -theta.cos());
-            let lens = fisheye_lens(&keys(FisheyeMapping::Equidistant, 180.0), [99.5, 99.5, 100.0]);
-            let r = lens.project(direction).unwrap().x - 99.5;
-            assert!((r - 100.0 * theta / (0.5 * PI)).abs() < 1e-9);
-            let lens = fisheye_lens(&keys(FisheyeMapping::Equisolid, 180.0), [99.5, 99.5, 100.0]);
-            let r = lens.project(direction).unwrap().x - 99.5;
-            let expected = 100.0 * (0.5 * theta).sin() / (0.25 * PI).sin();
-            assert!((r - expected).abs() < 1e-5, "{theta}: {r} {expected}");
-        }
-    }
 
     #[test]
     fn irradiance_sigma_of_constant_noise_is_small_and_known() {

@@ -22,6 +22,16 @@ pub struct FoundPose {
     /// `slip_px` is left empty: see [`FoundPose::slip_px`].
     pub report: PoseReport,
     pub warnings: Vec<Warning>,
+    /// What was seen of every target; none for a pose read from a file.
+    pub seen: Vec<Seen>,
+}
+
+/// The points of one target.
+#[derive(Clone, Debug)]
+pub struct Seen {
+    /// `None`: clicked in the plate.
+    pub photo: Option<PathBuf>,
+    pub sightings: Vec<Sighting>,
 }
 
 /// Why there is no pose.
@@ -105,8 +115,13 @@ pub fn find_pose(
                 return Err(LocateError::NoPose { path: path.clone() });
             }
             let report = PoseReport { source: path.display().to_string(), ..PoseReport::default() };
-            let mut found =
-                FoundPose { pose: read.camera.pose, scatter: None, report, warnings: vec![] };
+            let mut found = FoundPose {
+                pose: read.camera.pose,
+                scatter: None,
+                report,
+                warnings: vec![],
+                seen: vec![],
+            };
             found.fill_report();
             Ok(found)
         }
@@ -147,6 +162,9 @@ pub fn from_tags(
     let target = tags.first().map_or("pose.tags".into(), |t| t.photo.display().to_string());
     let mut found = solve(&targets, lens, &noise, target, source)?;
     found.warnings.extend(warnings);
+    for (seen, tag) in found.seen.iter_mut().zip(tags) {
+        seen.photo = Some(tag.photo.clone());
+    }
     Ok(found)
 }
 
@@ -215,6 +233,7 @@ pub fn from_board(
         .collect();
     let noise = Noise { sigma_px: BOARD_SIGMA_PX, degrees: BOARD_DEGREES, size_sigma: PRINT_SIGMA };
     let mut found = solve(&[sightings], lens, &noise, name.clone(), "a board".into())?;
+    found.seen.iter_mut().for_each(|seen| seen.photo = Some(photo.path.clone()));
     if seen.turned_unknown {
         found.warnings.push(Warning::new(
             "pose.board",
@@ -265,7 +284,9 @@ fn solve(
     let report =
         PoseReport { source, rms_px: Some(solved.rms_px), ambiguity, ..PoseReport::default() };
     let scatter = Some(solved.scatter);
-    let mut found = FoundPose { pose: solved.pose, scatter, report, warnings };
+    let seen = targets.iter().map(|sightings| Seen { photo: None, sightings: sightings.clone() });
+    let mut found =
+        FoundPose { pose: solved.pose, scatter, report, warnings, seen: seen.collect() };
     found.fill_report();
     Ok(found)
 }

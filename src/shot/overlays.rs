@@ -6,7 +6,7 @@ use super::place;
 use super::plan::Plan;
 use super::prepare::Prepared;
 use crate::conventions::Rgb;
-use crate::photo::{Image, Photo};
+use crate::photo::{self, Image, Photo, ReadOptions};
 use crate::report::{Canvas, overlay};
 
 /// One overlay, ready to be written as `name.png`.
@@ -21,6 +21,7 @@ pub struct Overlay {
 pub fn draw(plan: &Plan, prepared: &Prepared) -> Vec<Overlay> {
     let mut overlays = vec![support(plan, prepared)];
     overlays.extend(ball(plan, prepared));
+    overlays.extend(pose(plan, prepared));
     overlays.push(panorama(prepared));
     overlays
 }
@@ -29,9 +30,8 @@ fn support(plan: &Plan, prepared: &Prepared) -> Overlay {
     let mut canvas = Canvas::new(&plan.plate.linear);
     let camera = &prepared.camera;
     let foot = place::foot(plan);
-    // One step of the axes is about a fifth of the distance: well seen at any scale.
-    let distance = camera.pose.position().distance(foot);
-    let step = 10f64.powf((0.2 * distance).log10().round());
+    // One step of the axes is about a tenth of the distance: well seen at any scale.
+    let step = round_length(0.1 * camera.pose.position().distance(foot));
     if let Some(ground) = place::ground(plan) {
         overlay::support(&mut canvas, camera, &ground, foot, step);
     }
@@ -65,6 +65,44 @@ fn ball(plan: &Plan, prepared: &Prepared) -> Option<Overlay> {
     })
 }
 
+fn pose(plan: &Plan, prepared: &Prepared) -> Option<Overlay> {
+    let first = prepared.seen.first()?;
+    let mut canvas = match &first.photo {
+        Some(path) => {
+            // It was read a moment ago; if it is gone since, there is no overlay.
+            let photo = photo::read(path, &ReadOptions::default()).ok()?;
+            Canvas::new(&bright(&photo))
+        }
+        None => Canvas::new(&plan.plate.linear),
+    };
+    for seen in prepared.seen.iter().filter(|seen| seen.photo == first.photo) {
+        let measured: Vec<_> = seen.sightings.iter().map(|s| s.pixel).collect();
+        let expected: Vec<_> =
+            seen.sightings.iter().map(|s| prepared.seen_by.project_world(s.world)).collect();
+        overlay::corners(&mut canvas, &measured, &expected);
+    }
+    Some(Overlay {
+        name: "overlay_pose",
+        title: "What gave the camera's place",
+        caption: "Green: corners as measured. Red: where lens and pose expect them.",
+        canvas,
+    })
+}
+
+/// 1, 2 or 5 times a power of ten, just below `length`.
+fn round_length(length: f64) -> f64 {
+    let decade = 10f64.powf(length.log10().floor());
+    let leading = length / decade;
+    decade
+        * if leading >= 5.0 {
+            5.0
+        } else if leading >= 2.0 {
+            2.0
+        } else {
+            1.0
+        }
+}
+
 fn panorama(prepared: &Prepared) -> Overlay {
     let panorama = &prepared.light.panorama;
     let width = panorama.width().min(1024);
@@ -92,4 +130,16 @@ fn bright(photo: &Photo) -> Image<Rgb> {
     let (_, &mut high, _) = values.select_nth_unstable_by(at, f32::total_cmp);
     let gain = if high > 0.0 { 0.8 / high } else { 1.0 };
     photo.linear.map(|l| *l * gain)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lengths_round_to_1_2_5() {
+        for (length, round) in [(0.14, 0.1), (0.26, 0.2), (7.0, 5.0), (0.099, 0.05)] {
+            assert!((round_length(length) - round).abs() < 1e-12, "{length}");
+        }
+    }
 }

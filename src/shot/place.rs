@@ -1,21 +1,16 @@
 //! The shot's models, put where the shot file says.
 
-use glam::{DAffine3, DMat3, DQuat, DVec2, DVec3, EulerRot};
+use glam::{DAffine3, DMat3, DVec2, DVec3};
 
 use super::file::{Albedo, Object, SupportShape};
 use super::plan::Plan;
+use crate::probe::file::rotation_xyz_deg;
 use crate::report::overlay::Ground;
 use crate::scene::{AlbedoSource, LocalRole, Model, Scene, assemble};
 
-/// Rotation by degrees about the world's X, then Y, then Z.
-pub fn rotation(degrees: [f64; 3]) -> DQuat {
-    let [x, y, z] = degrees.map(f64::to_radians);
-    DQuat::from_euler(EulerRot::ZYX, z, y, x)
-}
-
 /// Where an object of the shot stands.
 pub fn world_from_model(object: &Object) -> DAffine3 {
-    let turned = DMat3::from_quat(rotation(object.rotate)) * object.scale;
+    let turned = DMat3::from_quat(rotation_xyz_deg(object.rotate)) * object.scale;
     DAffine3::from_mat3_translation(turned, object.at.into())
 }
 
@@ -120,7 +115,7 @@ fn height_at(a: DVec3, b: DVec3, c: DVec3, place: DVec3) -> Option<f64> {
     let (u, v) = (fa.perp_dot(fb) / area, fc.perp_dot(fa) / area);
     let inside = u >= 0.0 && v >= 0.0 && u + v <= 1.0;
     // Weights of c and b: areas over the point's opposite sides.
-    inside.then(|| a.y + v * (b.y - a.y) + u * (c.y - a.y))
+    inside.then_some(a.y + v * (b.y - a.y) + u * (c.y - a.y))
 }
 
 /// The support as a rectangle to draw; `None` where it has no extent.
@@ -163,7 +158,8 @@ mod tests {
         let p = world_from_model(&object).transform_point3(DVec3::Z);
         assert!((p - DVec3::new(3.0, 2.0, 3.0)).length() < 1e-12, "{p}");
         // About X first: Y goes to Z, then about Z nothing moves it.
-        let q = rotation([90.0, 0.0, 90.0]) * DVec3::Y;
+        let tilted = Object { rotate: [90.0, 0.0, 90.0], at: [0.0; 3], scale: 1.0, ..object };
+        let q = world_from_model(&tilted).transform_point3(DVec3::Y);
         assert!((q - DVec3::Z).length() < 1e-12, "{q}");
     }
 

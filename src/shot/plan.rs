@@ -23,7 +23,7 @@ pub struct Plan {
     pub plate: Photo,
     /// What the probe's radiance is multiplied with to be in the plate's values.
     pub scale: Scale,
-    /// Photographs of the ball or fisheye; the panorama itself.
+    /// Photographs of the ball or fisheye.
     pub probe_photos: Vec<Photo>,
     pub exposures: Exposures,
     pub support: Option<Model>,
@@ -267,9 +267,9 @@ fn read_probe(shot: &ShotFile, find: &mut Finder) -> (Vec<Photo>, Option<Exposur
         ProbeSource::Ball(ball) => ("probe.ball", &ball.photos, &ball.exposures),
         ProbeSource::Fisheye(fisheye) => ("probe.fisheye", &fisheye.photos, &fisheye.exposures),
         ProbeSource::Panorama(panorama) => {
-            let photos = find.photos("probe.panorama.file", &panorama.file, None);
+            find.file("probe.panorama.file", &panorama.file);
             let source = "a panorama, taken as radiance";
-            return (photos, Some(Exposures { values: vec![1.0], source }));
+            return (Vec::new(), Some(Exposures { values: vec![1.0], source }));
         }
     };
     if let ProbeSource::Ball(ball) = &shot.probe.source {

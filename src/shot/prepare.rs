@@ -7,7 +7,7 @@ use glam::DVec3;
 use super::calibrate::{FoundLens, find_lens};
 use super::camera_keys::{Board, CameraKeys, CameraSource};
 use super::light::{self, Light, Surroundings};
-use super::locate::{FoundPose, find_pose};
+use super::locate::{FoundPose, Seen, find_pose};
 use super::near_field;
 use super::place;
 use super::plan::Plan;
@@ -29,6 +29,9 @@ pub struct Prepared {
     pub scene: Scene,
     pub method: Method,
     pub warnings: Vec<Warning>,
+    /// What the pose was found from, and the camera that saw it.
+    pub seen: Vec<Seen>,
+    pub seen_by: Camera,
     /// Bound of the relative error from treating near light as distant, if the shot tells of any.
     pub near_field_error: Option<f64>,
 }
@@ -102,6 +105,13 @@ pub fn prepare(
         scene,
         method,
         warnings,
+        seen: found_pose.seen,
+        seen_by: Camera {
+            width: found_lens.width,
+            height: found_lens.height,
+            lens: found_lens.lens,
+            pose: found_pose.pose,
+        },
         near_field_error,
     })
 }

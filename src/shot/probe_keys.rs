@@ -18,7 +18,7 @@ pub struct ProbeKeys {
 #[derive(Clone, Debug, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum ProbeSource {
-    Ball(Ball),
+    Ball(Box<Ball>),
     Fisheye(Fisheye),
     Panorama(PanoramaKeys),
 }
@@ -92,6 +92,7 @@ pub struct PanoramaKeys {
 pub enum PanoramaMapping {
     LatLong,
     Angular,
+    BallMap,
     Cube,
 }
 
@@ -140,7 +141,9 @@ impl ProbeKeys {
         let suns = [("auto", Suns::Auto), ("never", Suns::Never), ("always", Suns::Always)];
         let suns = keys.choice("suns", &suns).unwrap_or(Suns::Auto);
         let source = match keys.exactly_one(&["ball", "fisheye", "panorama", "sky"])? {
-            "ball" => ProbeSource::Ball(Ball::read(&keys.table("ball", Ball::KEYS)?, folder)?),
+            "ball" => {
+                ProbeSource::Ball(Box::new(Ball::read(&keys.table("ball", Ball::KEYS)?, folder)?))
+            }
             "fisheye" => {
                 let fisheye = keys.table("fisheye", Fisheye::KEYS)?;
                 ProbeSource::Fisheye(Fisheye::read(&fisheye, folder)?)
@@ -280,6 +283,7 @@ impl PanoramaKeys {
         let mappings = [
             ("latlong", PanoramaMapping::LatLong),
             ("angular", PanoramaMapping::Angular),
+            ("ball", PanoramaMapping::BallMap),
             ("cube", PanoramaMapping::Cube),
         ];
         let file = keys.need("file", keys.text("file"), "name the panorama's file");

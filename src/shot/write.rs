@@ -6,11 +6,10 @@ use serde::Serialize;
 
 use crate::camera::Camera;
 use crate::composite::{Composite, Encoded, NO_DEPTH, encode, exr_picture, exr_primaries};
-use crate::photo::exr_file::{self, ExrAttributes, ExrPicture, ExrSamples, LINEAR_REC709};
+use crate::photo::exr_file::{self, ExrAttributes, LINEAR_REC709};
 use crate::photo::{
     Encoding, EncodingSource, Photo, PhotoError, Primaries, Samples, Transfer, png,
 };
-use crate::probe::Panorama;
 use crate::render::Difference;
 use crate::report::Canvas;
 
@@ -155,38 +154,6 @@ fn world_to_camera(camera: &Camera) -> [f32; 16] {
         matrix[4 * i + 3] = if i == 3 { 1.0 } else { 0.0 };
     }
     matrix
-}
-
-/// Writes panorama.exr: the light in the plate's scale, its standard error, what was really seen.
-pub fn panorama_exr(path: &Path, panorama: &Panorama, scale: f64) -> Result<(), PhotoError> {
-    let (width, height) = (panorama.width(), panorama.height());
-    let mut picture = ExrPicture { width, height, ..ExrPicture::default() };
-    for (c, name) in ["R", "G", "B"].into_iter().enumerate() {
-        let values = panorama.radiance.pixels().iter().map(|l| l.to_array()[c]);
-        picture.push(name, ExrSamples::F32(values.collect()));
-        let sigma = panorama.variance.pixels().iter().map(|v| v.to_array()[c].max(0.0).sqrt());
-        picture.push(format!("stderr.{name}"), ExrSamples::F32(sigma.collect()));
-    }
-    let coverage = panorama.coverage.pixels().iter().copied();
-    picture.push("coverage.Y", ExrSamples::half(coverage).0);
-    let validity = panorama.validity.pixels().iter().map(|&v| f32::from(v as u8));
-    picture.push("validity.Y", ExrSamples::half(validity).0);
-    let comments = serde_json::json!({
-        "unit": "the plate's linear values",
-        "plate_exposure": scale,
-        "world_from_panorama": panorama.world_from_panorama.to_array(),
-        "place_m": panorama.place.to_array(),
-        "validity": "0 measured, 1 single exposure, 2 lower bound (clipped), 3 upper bound, \
-                     4 moved, 5 filled, 6 analytic light",
-        "axes": "lat-long, centre +Z, a quarter of the width +X, top +Y, texel centres at (i + 1/2)",
-    });
-    picture.attributes = ExrAttributes {
-        comments: Some(comments.to_string()),
-        colour_id: Some(LINEAR_REC709),
-        lat_long: true,
-        ..ExrAttributes::default()
-    };
-    exr_file::write(path, &picture)
 }
 
 /// The composite's samples for the plate.
