@@ -78,7 +78,7 @@ impl Triangles {
                 mesh.faces.push([a, a + 4, a + 3]);
             }
         }
-        mesh
+        mesh.without_slivers()
     }
 
     /// An axis-parallel box from `min` to `max`.
