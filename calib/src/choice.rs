@@ -51,9 +51,8 @@ fn shapes() -> Vec<(&'static str, Shape)> {
     };
     let f: &[usize] = &[0, 1];
     let (cx, cy): (&[usize], &[usize]) = (&[2], &[3]);
-    let (k1, k2, p1, p2, k3): (&[usize], &[usize], &[usize], &[usize], &[usize]) =
-        (&[4], &[5], &[6], &[7], &[8]);
-    let (k4, k5, k6): (&[usize], &[usize], &[usize]) = (&[9], &[10], &[11]);
+    let [k1, k2, p1, p2, k3]: [&[usize]; 5] = [&[4], &[5], &[6], &[7], &[8]];
+    let [k4, k5, k6]: [&[usize]; 3] = [&[9], &[10], &[11]];
     vec![
         ("f", brown(&[f])),
         ("f k1", brown(&[f, k1])),

@@ -381,7 +381,7 @@ mod tests {
                     let q = h * nalgebra::Vector3::new(p[0], p[1], 1.0);
                     let (s, t) = (8.0 * q[0] / q[2], 8.0 * q[1] / q[2]);
                     let inside = s > 0.0 && s < 8.0 && t > 0.0 && t < 8.0;
-                    let border = s < 1.0 || s > 7.0 || t < 1.0 || t > 7.0;
+                    let border = !(1.0..=7.0).contains(&s) || !(1.0..=7.0).contains(&t);
                     let cell = (s.floor() + 2.0 * t.floor()).rem_euclid(3.0) == 0.0;
                     sum += if inside && (border || cell) { 0.05 } else { 0.85 };
                 }

@@ -212,7 +212,7 @@ pub fn refine(
             tried.push((supported(&near, c, r, search.tolerance(r)), c, r));
         }
     }
-    tried.sort_by(|a, b| b.0.cmp(&a.0));
+    tried.sort_by_key(|tried| std::cmp::Reverse(tried.0));
     tried.truncate(POLISHED);
     for (support, c, r) in &mut tried {
         for _ in 0..4 {

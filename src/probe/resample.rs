@@ -128,7 +128,7 @@ impl<'a, M: Mapping + ?Sized> Gatherer<'a, M> {
     fn texel(&self, x: usize, y: usize, cell: [Option<DVec2>; 4], taps: &mut Taps) -> Texel {
         taps.clear();
         let smooth = self.smooth_cell(cell);
-        let side = smooth.map_or(MAX_SIDE, |c| samples_along(c));
+        let side = smooth.map_or(MAX_SIDE, samples_along);
         let mut asked = 0.0;
         for j in 0..side {
             let v = (j as f64 + 0.5) / side as f64;

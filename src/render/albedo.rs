@@ -176,7 +176,7 @@ fn node(
 ) -> Option<Node> {
     let ray = primary.ray(pixel.0, pixel.1, 0.5, 0.5)?;
     let sampler =
-        |index| Sampler::new(seed ^ 0xa1be_d0, pixel, u32::MAX, index, Numbers::SobolOwen);
+        |index| Sampler::new(seed ^ 0x00a1_bed0, pixel, u32::MAX, index, Numbers::SobolOwen);
     let hit = world.closest_local(&ray, &sampler(0))?;
     let point = world.local_point(&ray, &hit);
     if point.colour == Colouring::Own {
