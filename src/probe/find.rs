@@ -165,7 +165,7 @@ impl Plane<'_> {
         (self.lens.fx * self.lens.fy).sqrt()
     }
 
-    fn from_ray(&self, d: DVec3) -> DVec2 {
+    fn at_ray(&self, d: DVec3) -> DVec2 {
         DVec2::new(d.x, -d.y) * (2.0 * self.focal() / (1.0 - d.z))
     }
 
@@ -175,8 +175,8 @@ impl Plane<'_> {
         DVec3::new(2.0 * q.x, -2.0 * q.y, s - 1.0) / (1.0 + s)
     }
 
-    fn from_pixel(&self, pixel: DVec2) -> Option<DVec2> {
-        Some(self.from_ray(self.lens.unproject(pixel)?))
+    fn at_pixel(&self, pixel: DVec2) -> Option<DVec2> {
+        Some(self.at_ray(self.lens.unproject(pixel)?))
     }
 
     /// Whether the picture shows a point, two pixels of border left out.
@@ -191,7 +191,7 @@ impl Plane<'_> {
 
     /// The circle of a hint in pixels.
     fn circle(&self, [u, v, r]: [f64; 3]) -> Result<Circle, ProbeError> {
-        let at = |dx: f64, dy: f64| self.from_pixel(DVec2::new(u + dx, v + dy));
+        let at = |dx: f64, dy: f64| self.at_pixel(DVec2::new(u + dx, v + dy));
         let rim = [at(r, 0.0), at(-r, 0.0), at(0.0, r), at(0.0, -r)];
         let [Some(e), Some(w), Some(s), Some(n)] = rim else {
             return Err(ProbeError::NoBall {
@@ -223,9 +223,9 @@ impl Plane<'_> {
             .iter()
             .filter_map(|edge| {
                 let pixel = |p: DVec2| origin + (p + 0.5) * factor - 0.5;
-                let at = self.from_pixel(pixel(edge.at))?;
+                let at = self.at_pixel(pixel(edge.at))?;
                 // Tangents map forward; the edge's side is kept by its sign.
-                let tangent = self.from_pixel(pixel(edge.at + edge.towards.perp()))? - at;
+                let tangent = self.at_pixel(pixel(edge.at + edge.towards.perp()))? - at;
                 let towards = -tangent.try_normalize()?.perp();
                 Some(Edge { at: at / factor, towards, strength: edge.strength })
             })

@@ -183,7 +183,7 @@ impl<'a> BallView<'a> {
     }
 
     /// Direction from the ball's centre to what is met from `origin` along `direction`.
-    fn from_centre(&self, origin: DVec3, direction: DVec3) -> Option<DVec3> {
+    fn seen_from_centre(&self, origin: DVec3, direction: DVec3) -> Option<DVec3> {
         let Some(plane) = self.plane else { return Some(direction) };
         let down = -direction.dot(plane.normal);
         if down <= 1e-6 {
@@ -206,7 +206,7 @@ impl Mapping for BallView<'_> {
 
     fn direction(&self, pixel: DVec2) -> Option<DVec3> {
         let seen = self.mirror.reflect(self.lens.unproject(pixel)?)?;
-        self.from_centre(seen.point, seen.direction)
+        self.seen_from_centre(seen.point, seen.direction)
     }
 
     fn covers(&self, x: usize, y: usize) -> bool {
@@ -232,7 +232,7 @@ impl Mapping for Beside<'_> {
     fn direction(&self, pixel: DVec2) -> Option<DVec3> {
         let ray = self.view.lens.unproject(pixel)?;
         (self.view.off_axis(ray) > self.view.outside_rad)
-            .then(|| self.view.from_centre(DVec3::ZERO, ray))?
+            .then(|| self.view.seen_from_centre(DVec3::ZERO, ray))?
     }
 }
 
