@@ -52,7 +52,7 @@ fn opencv_samples_agree_with_opencv() {
     let Some(data) = data() else { return };
     let found = calibrate(&data.join("calib-opencv-stereo/left*.jpg"), [9, 6], 25.0);
     let used = found.report.views.iter().filter(|v| v.rejected.is_none()).count();
-    assert!(used >= 11, "{used} of 13");
+    assert!(used >= 10, "{used} of 13");
     // The reference has errors of its own: 1 px on fx at rms 0.2 px.
     assert!((found.lens.fx - 532.8).abs() < 2.0 && (found.lens.fy - 532.9).abs() < 2.0);
     // OpenCV reaches 0.195 px; here outer squares that the print cuts short disturb the rim's corners.

@@ -150,7 +150,7 @@ pub enum CalibrateError {
         "these {n_views} views leave the lens unknown by {sigma_px:.1} px over the frame (limit {MOST_SIGMA_PX}): {advice}"
     )]
     TooUncertain { n_views: usize, sigma_px: f64, advice: String },
-    #[error("no lens model explains the {n_views} views: {advice}")]
+    #[error("these {n_views} views determine no lens: {advice}")]
     NoModel { n_views: usize, advice: String },
     #[error(transparent)]
     OpenCv(#[from] OpenCvError),
@@ -240,7 +240,7 @@ fn view_rms(rung: &Rung, slot: usize, view: &View) -> f64 {
 /// Views whose residual stands far out: (index, its rms, median rms), px.
 fn spoilers(rung: &Rung, views: &[View]) -> Vec<(usize, f64, f64)> {
     const FAR: f64 = 3.0;
-    const HARMLESS_PX: f64 = 0.5;
+    const HARMLESS_PX: f64 = 0.3;
     let each: Vec<f64> = views.iter().enumerate().map(|(i, v)| view_rms(rung, i, v)).collect();
     let mut sorted = each.clone();
     sorted.sort_by(f64::total_cmp);

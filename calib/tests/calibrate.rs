@@ -128,10 +128,11 @@ fn frontal_views_are_refused_with_the_remedy() {
     let (lens, mut dice) = (ordinary(), Dice(4));
     let frontal = Session { tilt_deg: 1.0, ..GOOD };
     let error = calibrate(WIDTH, HEIGHT, &views(&lens, &frontal, &mut dice)).unwrap_err();
-    let CalibrateError::TooUncertain { sigma_px, advice, .. } = error else {
-        panic!("{error}");
-    };
-    assert!(sigma_px > 2.0 && advice.contains("tilt the board"), "{sigma_px} {advice}");
+    let refused = matches!(
+        error,
+        CalibrateError::TooUncertain { sigma_px: 2.0.., .. } | CalibrateError::NoModel { .. }
+    );
+    assert!(refused && error.to_string().contains("tilt the board"), "{error}");
 }
 
 #[test]
