@@ -353,6 +353,9 @@ fn advice(rung: Option<&Rung>, views: &[View], width: usize, height: usize) -> S
             ));
         }
     }
+    if rung.is_none() {
+        all.push("tilt the board more, by 20 to 45° in different directions".to_string());
+    }
     let hull =
         crate::projection::convex_hull(views.iter().flat_map(|v| v.pixels.clone()).collect());
     let area: f64 = (0..hull.len())
