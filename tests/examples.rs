@@ -1,6 +1,7 @@
 //! Each example program runs on the demo shot and does what its first line says.
 //!
-//! Cargo builds the examples for a test run and puts them beside this test's own folder.
+//! A plain `cargo test` builds the examples and puts them beside this test's own folder; with
+//! `cargo test --test examples` alone, run `cargo build --examples` first.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
@@ -59,6 +60,9 @@ fn camera_panorama_and_composite_come_from_the_demo_photographs() {
         .count();
     assert!(n_changed > 20_000, "only {n_changed} pixels changed");
     assert!((0..plate.width()).all(|x| changed(x, 0) == 0.0));
+    // Copper in daylight, on the plate's scale: neither black nor burnt out.
+    let vase = luminance(inserted[(525, 380)]);
+    assert!((0.05..0.9).contains(&vase), "luminance of the vase {vase}");
 }
 
 /// Two runs of the generator at 1/12 of the size give the same bytes, whatever the threads.
