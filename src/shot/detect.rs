@@ -5,14 +5,16 @@
 //! corners need nothing of this.
 
 #[cfg(feature = "opencv")]
-mod opencv;
+mod with_calib;
 #[cfg(not(feature = "opencv"))]
-#[path = "detect/none.rs"]
-mod opencv;
+mod without_calib;
 
-pub use self::opencv::{board, calibrate, charuco_pattern, tag, tag_pattern};
 #[cfg(feature = "opencv")]
-pub use self::opencv::{from_calib, to_calib};
+pub use self::with_calib::{
+    board, calibrate, charuco_pattern, from_calib, tag, tag_pattern, to_calib,
+};
+#[cfg(not(feature = "opencv"))]
+pub use self::without_calib::{board, calibrate, charuco_pattern, tag, tag_pattern};
 
 use glam::DVec2;
 

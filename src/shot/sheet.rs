@@ -267,8 +267,8 @@ mod tests {
             );
         }
         assert!((to_mm(rectangles[35][2]) - 50.0).abs() < 1e-4);
-        // A3 turned to landscape: 1190.55 × 841.89 pt.
-        assert!(text.contains("/MediaBox [0 0 1190.55") && text.contains("841.88"), "{text:.300}");
+        // A3 upright, which the board fits: 841.89 × 1190.55 pt.
+        assert!(text.contains("/MediaBox [0 0 841.88") && text.contains(" 1190.55"), "{text:.300}");
         // The first square is the upper left one.
         let highest = rectangles[..35].iter().map(|r| r[1]).fold(0.0, f64::max);
         assert_eq!(rectangles[0][1], highest);
