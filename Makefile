@@ -9,8 +9,7 @@ demo: system
 	cargo run --release --quiet --example score_demo -- out/demo plates/demo
 
 test: system
-	cargo test
-	cargo test -p platelight-calib
+	cargo test --workspace
 	cargo check --no-default-features --all-targets
 
 # Also makes the demo shot anew (about ten CPU minutes): not one byte of it may differ.

@@ -6,6 +6,7 @@
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
+#[cfg(feature = "opencv")]
 use platelight::conventions::luminance;
 use platelight::photo::{self, ReadOptions};
 
