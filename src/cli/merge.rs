@@ -42,7 +42,7 @@ pub struct Args {
     #[arg(long)]
     no_align: bool,
     /// Electrons at white and read noise in electrons, if known [default: measured in the bracket]
-    #[arg(long, value_name = "FULL,READ", value_delimiter = ',', num_args = 2)]
+    #[arg(long, value_name = "FULL,READ", value_delimiter = ',')]
     noise: Option<Vec<f64>>,
 }
 
