@@ -186,25 +186,9 @@ fn shadow(background: Rgb, change: Rgb) -> Rgb {
 }
 
 #[cfg(test)]
-pub(super) mod tests {
+mod tests {
     use super::*;
     use glam::Vec3;
-
-    /// Nothing of the objects anywhere.
-    pub fn nothing(width: usize, height: usize) -> Difference {
-        let black = Image::filled(width, height, Rgb::ZERO);
-        Difference {
-            coverage: Image::filled(width, height, 0.0),
-            object: black.clone(),
-            difference: black.clone(),
-            ratio: black.clone(),
-            stderr: black.clone(),
-            albedo: black.clone(),
-            depth: Image::filled(width, height, f32::INFINITY),
-            normal: black,
-            samples: Image::filled(width, height, 0),
-        }
-    }
 
     fn plate() -> Photo {
         Photo::from_linear(Image::from_fn(4, 2, |x, y| Vec3::new(0.1, 0.2, 0.3) * (x + y) as f32))
@@ -214,7 +198,7 @@ pub(super) mod tests {
     fn plate_is_untouched_where_the_objects_have_no_influence() {
         let plate = plate();
         for mode in [Mode::Additive, Mode::Ratio] {
-            let composite = compose(&plate, &nothing(4, 2), mode).unwrap();
+            let composite = compose(&plate, &Difference::nothing(4, 2), mode).unwrap();
             assert_eq!(composite.linear, plate.linear);
             assert!(composite.changed.pixels().iter().all(|&changed| !changed));
             assert_eq!(composite.tally, Tally::default());
@@ -224,7 +208,7 @@ pub(super) mod tests {
     #[test]
     fn one_pixel_follows_the_formula_in_both_modes() {
         let plate = plate();
-        let mut d = nothing(4, 2);
+        let mut d = Difference::nothing(4, 2);
         d.coverage[(2, 1)] = 0.25;
         d.object[(2, 1)] = Vec3::new(0.2, 0.1, 0.05);
         d.difference[(2, 1)] = Vec3::new(-0.03, 0.01, 0.0);
@@ -244,7 +228,7 @@ pub(super) mod tests {
     #[test]
     fn shadow_layer_times_plate_is_the_background() {
         let plate = plate();
-        let mut d = nothing(4, 2);
+        let mut d = Difference::nothing(4, 2);
         d.coverage[(3, 1)] = 0.5;
         d.ratio[(3, 1)] = Vec3::new(-0.25, -0.5, 0.1);
         let composite = compose(&plate, &d, Mode::Ratio).unwrap();
@@ -256,7 +240,7 @@ pub(super) mod tests {
     #[test]
     fn black_plate_takes_added_light_without_dividing_by_it() {
         let plate = Photo::from_linear(Image::filled(1, 1, Rgb::ZERO));
-        let mut d = nothing(1, 1);
+        let mut d = Difference::nothing(1, 1);
         d.difference[(0, 0)] = Vec3::splat(0.1);
         let composite = compose(&plate, &d, Mode::Ratio).unwrap();
         assert_eq!(composite.linear[(0, 0)], Vec3::splat(0.1));
@@ -267,7 +251,7 @@ pub(super) mod tests {
     #[test]
     fn results_are_finite_and_not_negative() {
         let plate = plate();
-        let mut d = nothing(4, 2);
+        let mut d = Difference::nothing(4, 2);
         d.difference[(0, 1)] = Vec3::splat(-9.0);
         d.object[(1, 1)] = Vec3::new(f32::NAN, 0.0, 0.0);
         d.ratio[(2, 1)] = Vec3::splat(f32::INFINITY);
@@ -281,7 +265,7 @@ pub(super) mod tests {
     #[test]
     fn negative_colours_of_the_plate_stay_its_own() {
         let plate = Photo::from_linear(Image::filled(1, 1, Vec3::new(-0.1, 0.5, 0.5)));
-        let mut d = nothing(1, 1);
+        let mut d = Difference::nothing(1, 1);
         d.ratio[(0, 0)] = Vec3::splat(-0.5);
         let composite = compose(&plate, &d, Mode::Ratio).unwrap();
         assert!((composite.linear[(0, 0)] - Vec3::new(-0.05, 0.25, 0.25)).length() < 1e-7);
@@ -290,6 +274,6 @@ pub(super) mod tests {
 
     #[test]
     fn other_sizes_are_refused() {
-        assert!(compose(&plate(), &nothing(3, 2), Mode::Ratio).is_err());
+        assert!(compose(&plate(), &Difference::nothing(3, 2), Mode::Ratio).is_err());
     }
 }

@@ -125,9 +125,9 @@ fn grey(colour: Rgb, transfer: Transfer) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::composite::compose::tests::nothing;
     use crate::composite::{Mode, compose};
     use crate::photo::{Encoding, EncodingSource, Primaries};
+    use crate::render::Difference;
 
     /// A plate whose samples run through all 8-bit codes, in a wide encoding.
     fn plate(primaries: Primaries) -> Photo {
@@ -147,7 +147,7 @@ mod tests {
     fn encoding_inverts_reading_for_every_code_and_primaries() {
         for primaries in [Primaries::Rec709, Primaries::DisplayP3, Primaries::AdobeRgb] {
             let plate = plate(primaries);
-            let mut composite = compose(&plate, &nothing(16, 16), Mode::Ratio).unwrap();
+            let mut composite = compose(&plate, &Difference::nothing(16, 16), Mode::Ratio).unwrap();
             // Every pixel is said to be changed, by nothing: all are encoded anew.
             composite.changed = Image::filled(16, 16, true);
             let encoded = encode(&plate, &composite, &Image::filled(16, 16, 0.0));
@@ -158,7 +158,7 @@ mod tests {
     #[test]
     fn light_above_white_is_clamped_and_counted() {
         let plate = plate(Primaries::Rec709);
-        let mut d = nothing(16, 16);
+        let mut d = Difference::nothing(16, 16);
         d.coverage[(3, 0)] = 1.0;
         d.object[(3, 0)] = Rgb::new(2.0, 0.5, 3.0);
         let composite = compose(&plate, &d, Mode::Ratio).unwrap();
@@ -175,7 +175,7 @@ mod tests {
             samples: Samples::F16 { channels: 3, data },
             ..Photo::from_linear(Image::filled(1, 1, Rgb::splat(0.5)))
         };
-        let mut d = nothing(1, 1);
+        let mut d = Difference::nothing(1, 1);
         d.coverage[(0, 0)] = 1.0;
         d.object[(0, 0)] = Rgb::new(1e6, 0.25, 0.0);
         let composite = compose(&plate, &d, Mode::Additive).unwrap();

@@ -204,7 +204,6 @@ fn finite(value: f32) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::composite::compose::tests::nothing;
     use crate::composite::{compose, encode};
 
     fn picture(plate: &Photo, d: &Difference, layers: Option<&[String]>) -> ExrPicture {
@@ -221,7 +220,7 @@ mod tests {
     #[test]
     fn all_layers_are_there_and_finite() {
         let plate = Photo::from_linear(Image::filled(2, 1, Rgb::splat(0.5)));
-        let mut d = nothing(2, 1);
+        let mut d = Difference::nothing(2, 1);
         d.coverage[(0, 0)] = 0.5;
         d.object[(0, 0)] = Rgb::splat(0.1);
         d.stderr[(1, 0)] = Rgb::splat(f32::NAN);
@@ -237,7 +236,7 @@ mod tests {
     #[test]
     fn chosen_layers_stand_alone_beside_the_main_picture() {
         let plate = Photo::from_linear(Image::filled(1, 1, Rgb::ONE));
-        let picture = picture(&plate, &nothing(1, 1), Some(&["Z".to_owned()]));
+        let picture = picture(&plate, &Difference::nothing(1, 1), Some(&["Z".to_owned()]));
         let names: Vec<&str> = picture.channels.iter().map(|c| c.name.as_str()).collect();
         assert_eq!(names, ["R", "G", "B", "A", "Z"]);
     }
@@ -248,7 +247,7 @@ mod tests {
             samples: Samples::F16 { channels: 3, data: vec![half::f16::ONE; 3] },
             ..Photo::from_linear(Image::filled(1, 1, Rgb::ONE))
         };
-        let mut d = nothing(1, 1);
+        let mut d = Difference::nothing(1, 1);
         d.coverage[(0, 0)] = 1.0;
         d.object[(0, 0)] = Rgb::new(1e6, 0.5, 0.5);
         let picture = picture(&plate, &d, None);

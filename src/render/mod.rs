@@ -94,6 +94,24 @@ pub struct Difference {
     pub samples: Image<u32>,
 }
 
+impl Difference {
+    /// What no object at all makes of a picture of `width` × `height` pixels.
+    pub fn nothing(width: usize, height: usize) -> Self {
+        let black = Image::filled(width, height, Rgb::ZERO);
+        Self {
+            coverage: Image::filled(width, height, 0.0),
+            object: black.clone(),
+            difference: black.clone(),
+            ratio: black.clone(),
+            stderr: black.clone(),
+            albedo: black.clone(),
+            depth: Image::filled(width, height, f32::INFINITY),
+            normal: black,
+            samples: Image::filled(width, height, 0),
+        }
+    }
+}
+
 /// What one wave did.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Wave {

@@ -16,7 +16,7 @@ use super::prepare::{Prepared, method_name, prepare};
 use super::watch::{Stopwatch, Watch, cpu_seconds};
 use super::write::{self, FileMark, OutFiles};
 use crate::composite::{Mode, compose};
-use crate::photo::{Image, PhotoError};
+use crate::photo::PhotoError;
 use crate::render::{self, Context, Difference, Job, Numbers, RenderError, Stop};
 use crate::report::{RenderReport, Report, ReportError};
 
@@ -197,7 +197,7 @@ fn render_shot(
     if plan.objects.is_empty() {
         let (width, height) = (plan.plate.linear.width(), plan.plate.linear.height());
         make_folder(&files.folder)?;
-        return Ok((nothing(width, height), report));
+        return Ok((Difference::nothing(width, height), report));
     }
     let job = Job {
         scene: &prepared.scene,
@@ -271,21 +271,5 @@ fn stop_name(stop: StopKeys) -> String {
         StopKeys::Error(error) => format!("error {} %", 100.0 * error),
         StopKeys::Time(seconds) => format!("{seconds} s"),
         StopKeys::Samples(samples) => format!("{samples} samples a pixel"),
-    }
-}
-
-/// The difference that no object makes.
-fn nothing(width: usize, height: usize) -> Difference {
-    let black = Image::filled(width, height, crate::conventions::Rgb::ZERO);
-    Difference {
-        coverage: Image::filled(width, height, 0.0),
-        object: black.clone(),
-        difference: black.clone(),
-        ratio: black.clone(),
-        stderr: black.clone(),
-        albedo: black.clone(),
-        depth: Image::filled(width, height, f32::INFINITY),
-        normal: black,
-        samples: Image::filled(width, height, 0),
     }
 }
