@@ -154,7 +154,10 @@ pub fn camera(bytes: &[u8]) {
     if let Ok(read) = camera::file::parse(&text) {
         let lens = &read.camera.lens;
         assert!(lens.parameters().iter().all(|v| v.is_finite()) && lens.fx > 0.0 && lens.fy > 0.0);
-        assert!(read.camera.width > 0 && read.camera.height > 0);
+        let (width, height) = (read.camera.width, read.camera.height);
+        assert!(width > 0 && height > 0);
+        // Whatever the coefficients, the search for each border pixel's direction ends.
+        lens.covers(width, height);
     }
 }
 

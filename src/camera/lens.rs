@@ -47,6 +47,9 @@ pub struct Projection {
 /// Steps at which models without a closed-form test are checked to grow.
 const GROWTH_STEPS: usize = 32;
 
+/// Halvings of a step before the search ends: a step as long as its place is below f64 after 57.
+const MAX_HALVINGS: usize = 100;
+
 /// How far from the wanted pixel an unprojected ray may land, px.
 const UNPROJECT_TOLERANCE_PX: f64 = 1e-9;
 
@@ -286,24 +289,19 @@ impl Lens {
             if error.length() * scale < 0.1 * UNPROJECT_TOLERANCE_PX {
                 break;
             }
-            let determinant = slope.determinant();
-            if determinant == 0.0 || !determinant.is_finite() {
+            // A determinant of zero, or one so small that its reciprocal is infinite, leads nowhere.
+            let full_step = slope.inverse() * error;
+            if !full_step.is_finite() {
                 return None;
             }
-            let mut step = slope.inverse() * error;
-            loop {
-                let (at, next_slope) = distort(&k, p - step);
-                if (at - wanted).length() < error.length() {
-                    (p, error, slope) = (p - step, at - wanted, next_slope);
-                    break;
-                }
-                step *= 0.5;
-                if step.length() < 1e-17 * (1.0 + p.length()) {
-                    // No further down: either already there or outside the field.
-                    let there = error.length() * scale < UNPROJECT_TOLERANCE_PX;
-                    return (there && self.distortion.grows_to(p.length())).then_some(p);
-                }
-            }
+            let downhill = (0..MAX_HALVINGS)
+                .map(|halvings| full_step * 0.5f64.powi(halvings as i32))
+                .take_while(|step| step.length() >= 1e-17 * (1.0 + p.length()))
+                .map(|step| (p - step, distort(&k, p - step)))
+                .find(|(_, (at, _))| (at - wanted).length() < error.length());
+            // No further down: either already there or outside the field.
+            let Some((next, (at, next_slope))) = downhill else { break };
+            (p, error, slope) = (next, at - wanted, next_slope);
         }
         let there = error.length() * scale < UNPROJECT_TOLERANCE_PX;
         (there && self.distortion.grows_to(p.length())).then_some(p)
@@ -555,6 +553,27 @@ mod tests {
         let back = DVec3::new(1.0, 0.0, 0.2);
         let pixel = wide.project(back).expect("95 degrees off the axis");
         assert!((wide.unproject(pixel).unwrap() - back.normalize()).length() < 1e-10);
+    }
+
+    #[test]
+    fn a_nearly_singular_lens_ends_the_search() {
+        // A determinant too small to be inverted: the slope's inverse is infinite.
+        let distortion = Distortion::Rational {
+            k1: 0.0,
+            k2: 0.0,
+            p1: 0.0,
+            p2: 0.0,
+            k3: 0.0,
+            k4: 1e158,
+            k5: 0.0,
+            k6: 0.0,
+        };
+        let lens = Lens { distortion, ..Lens::pinhole(900.0, 960, 640) };
+        let (answer, answered) = std::sync::mpsc::channel();
+        std::thread::spawn(move || answer.send(lens.covers(960, 640)));
+        // Milliseconds where it ends at all.
+        let covers = answered.recv_timeout(std::time::Duration::from_secs(20));
+        assert_eq!(covers, Ok(false));
     }
 
     #[test]
