@@ -38,6 +38,9 @@ const MAX_SECTORS: usize = 120;
 /// Of the random circles, how many are polished by least squares.
 const POLISHED: usize = 30;
 const RADIUS_STEP: f64 = 1.05;
+/// Most cells of one radius: 4096² of them, while pictures are reduced to 960 px. Only a lens whose
+/// focal length is far larger than its picture needs more, and shows no ball.
+const MAX_CELLS: f64 = 16_777_216.0;
 /// Hough cells that start a RANSAC.
 const STARTS: usize = 160;
 /// Cosine of the largest angle between an edge and the circle's radius.
@@ -102,6 +105,9 @@ struct Cell {
 fn vote(edges: &[Edge], frame: &Frame, radius: f64) -> Vec<Cell> {
     let size = (0.05 * radius).max(1.0);
     let extent = (frame.most - frame.least) / size;
+    if !((extent.x + 2.0) * (extent.y + 2.0) <= MAX_CELLS) {
+        return Vec::new();
+    }
     let (w, h) = (extent.x.ceil() as usize + 1, extent.y.ceil() as usize + 1);
     let mut votes = vec![0f32; w * h];
     for edge in edges {

@@ -39,6 +39,9 @@ const TOLERANCE_PX: f64 = 1.5;
 /// Edge points this near the circle stand for the rim, px of the fine picture. Wider lets the
 /// background in: at 4 px inliers fall from 0.92 to 0.75.
 const REACH_PX: f64 = 2.0;
+/// Edges this far off the axis are left out, rad: the plane of the search ends at 3.7 times its
+/// width at 90°; straight behind it would be infinite.
+const FARTHEST_OFF_AXIS_RAD: f64 = 150.0 * std::f64::consts::PI / 180.0;
 /// Doubt of a hint whose rim could not be measured: share of its radius.
 const HINT_SIGMA: f64 = 0.01;
 
@@ -219,11 +222,12 @@ impl Plane<'_> {
 
     /// Edge points of a reduced cut-out, in the plane and in its units divided by `factor`.
     fn edges(&self, found: &[Edge], origin: DVec2, factor: f64) -> Vec<Edge> {
+        let farthest = 2.0 * self.focal() * (FARTHEST_OFF_AXIS_RAD / 2.0).tan();
         found
             .iter()
             .filter_map(|edge| {
                 let pixel = |p: DVec2| origin + (p + 0.5) * factor - 0.5;
-                let at = self.at_pixel(pixel(edge.at))?;
+                let at = self.at_pixel(pixel(edge.at)).filter(|at| at.length() < farthest)?;
                 // Tangents map forward; the edge's side is kept by its sign.
                 let tangent = self.at_pixel(pixel(edge.at + edge.towards.perp()))? - at;
                 let towards = -tangent.try_normalize()?.perp();
@@ -508,6 +512,23 @@ mod tests {
         let found = find(&flat, &lens, &hints).unwrap();
         assert!((found.radius_px - 40.0).abs() < 0.3 && found.score.is_none());
         assert!(found.sigma_px >= 0.99, "{}", found.sigma_px);
+    }
+
+    #[test]
+    fn edges_seen_straight_behind_do_not_stretch_the_plane_of_the_search() {
+        let distortion = Distortion::KannalaBrandt { k1: 0.0, k2: 0.0, k3: 0.0, k4: 0.0 };
+        let lens = Lens { distortion, ..Lens::pinhole(40.0, 256, 256) };
+        let plane = Plane { lens: &lens, width: 256, height: 256 };
+        let centre = DVec2::splat(127.5);
+        let edge = |radius: f64| Edge {
+            at: centre + DVec2::from_angle(0.3) * radius,
+            towards: DVec2::from_angle(0.3),
+            strength: 1.0,
+        };
+        // 40 px a radian: 143° and 179.9°.
+        let moved = plane.edges(&[edge(100.0), edge(125.6)], DVec2::ZERO, 1.0);
+        assert_eq!(moved.len(), 1, "{moved:?}");
+        assert!(moved[0].at.length() < 2.0 * plane.focal() * 75f64.to_radians().tan());
     }
 
     #[test]
