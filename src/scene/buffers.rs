@@ -3,6 +3,7 @@
 //! The gltf crate's own readers answer "no such thing" to an accessor that reaches outside its
 //! buffer and panic on short sparse data; here each accessor is judged and named.
 
+use std::borrow::Cow;
 use std::path::Path;
 
 use gltf::accessor::sparse::IndexType;
@@ -10,6 +11,7 @@ use gltf::accessor::{DataType, Dimensions};
 use gltf::buffer::{Source, View};
 
 use super::SceneError;
+use super::budget::Budget;
 use super::files::{beside, data_uri, percent_decoded, read_file};
 
 /// Most elements of one accessor, and of all vertices of a model: 2 GB of what is made of them.
@@ -85,28 +87,42 @@ pub(super) fn split<'a>(path: &Path, bytes: &'a [u8]) -> Result<Container<'a>, S
     Ok(Container { json, binary, warnings })
 }
 
+/// An element read, what is made of it, and its copy in the scene.
+const COPIES: usize = 3;
+
 /// All buffers of a document, as long as it says they are.
 pub(super) struct Buffers<'a> {
     path: &'a Path,
-    data: Vec<Vec<u8>>,
+    pub budget: &'a Budget,
+    data: Vec<Cow<'a, [u8]>>,
 }
 
 impl<'a> Buffers<'a> {
     pub fn read(
         path: &'a Path,
         document: &gltf::Document,
-        binary: Option<&[u8]>,
+        binary: Option<&'a [u8]>,
+        budget: &'a Budget,
     ) -> Result<Self, SceneError> {
         let mut data = Vec::new();
         for buffer in document.buffers() {
             let place = format!("buffers[{}]", buffer.index());
             let bytes = match buffer.source() {
-                Source::Bin => binary.map(<[u8]>::to_vec).ok_or_else(|| SceneError::Broken {
-                    path: path.into(),
-                    place: place.clone(),
-                    problem: "it has no uri and the file has no binary chunk".into(),
-                })?,
-                Source::Uri(uri) => resolve(path, &place, uri)?,
+                Source::Bin => {
+                    // The chunk is the first buffer's (glTF 2.0, 4.4.3.3).
+                    let chunk = binary.filter(|_| buffer.index() == 0);
+                    Cow::Borrowed(chunk.ok_or_else(|| SceneError::Broken {
+                        path: path.into(),
+                        place: place.clone(),
+                        problem: "it has no uri and is not the file's binary chunk".into(),
+                    })?)
+                }
+                Source::Uri(uri) => {
+                    let bytes = resolve(path, &place, uri)?;
+                    budget.grant(uri, bytes.len());
+                    budget.take(bytes.len(), 1, &place)?;
+                    Cow::Owned(bytes)
+                }
             };
             if bytes.len() < buffer.length() {
                 return Err(SceneError::Broken {
@@ -117,7 +133,7 @@ impl<'a> Buffers<'a> {
             }
             data.push(bytes);
         }
-        Ok(Self { path, data })
+        Ok(Self { path, budget, data })
     }
 
     /// The bytes of a view.
@@ -196,15 +212,17 @@ impl<'a> Buffers<'a> {
     ) -> Result<Vec<T>, SceneError> {
         let count = accessor.count();
         let size = accessor.size();
+        let place = format!("accessors[{}] ({use_})", accessor.index());
         if count > MAX_ELEMENTS {
             return Err(SceneError::TooLarge {
                 path: self.path.into(),
-                place: format!("accessors[{}] ({use_})", accessor.index()),
+                place,
                 found: format!("{count} elements"),
                 limit: MAX_ELEMENTS.to_string(),
                 remedy: "simplify the mesh or split it into several",
             });
         }
+        self.budget.take(count, COPIES * std::mem::size_of::<T>(), &place)?;
         let mut elements = match accessor.view() {
             None => vec![zero; count],
             Some(view) => {

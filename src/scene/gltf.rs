@@ -14,6 +14,7 @@ use gltf::json::Value;
 use gltf::mesh::Mode;
 
 use super::assemble::{normal_matrix, transform_normals, transform_tangents, turned};
+use super::budget::Budget;
 use super::buffers::{Buffers, Container, MAX_ELEMENTS, split};
 use super::files::read_file;
 use super::gltf_material::MaterialReader;
@@ -38,7 +39,8 @@ pub fn read(path: &Path) -> Result<Model, SceneError> {
     let bytes = read_file(path)?;
     let Container { json, binary, warnings } = split(path, &bytes)?;
     let (document, extension_warnings) = parse(path, json)?;
-    let buffers = Buffers::read(path, &document, binary)?;
+    let budget = Budget::new(path, bytes.len());
+    let buffers = Buffers::read(path, &document, binary, &budget)?;
     let name = path.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();
     let mut reader = Reader {
         path,
@@ -197,10 +199,11 @@ impl Reader<'_> {
             self.warn(format!("{place}: it has no positions and is left out"));
             return Ok(None);
         };
+        self.count_vertices(positions.count(), place)?;
         let positions = self.buffers.floats::<3>(&positions, "positions")?;
-        self.count_vertices(positions.len(), place)?;
         let indices = match primitive.indices() {
             Some(accessor) => {
+                self.count_vertices(accessor.count() / 3, place)?;
                 let indices = self.buffers.indices(&accessor)?;
                 let n = positions.len();
                 if let Some(bad) = indices.iter().find(|&&i| i as usize >= n) {
@@ -211,7 +214,6 @@ impl Reader<'_> {
             }
             None => (0..positions.len() as u32).collect(),
         };
-        self.count_vertices(indices.len() / 3, place)?;
         let triangles = triangles(primitive.mode(), &indices);
         let left_over = match primitive.mode() {
             Mode::Triangles => indices.len() % 3,
@@ -220,7 +222,8 @@ impl Reader<'_> {
         if left_over > 0 {
             self.warn(format!("{place}: {left_over} indices make no triangle and are left out"));
         }
-        let colours = match primitive.get(&Semantic::Colors(0)) {
+        let n = positions.len();
+        let colours = match self.attribute(primitive, Semantic::Colors(0), n, place) {
             Some(a) if a.dimensions().multiplicity() == 3 => {
                 let rgb = self.buffers.floats::<3>(&a, "vertex colours")?;
                 rgb.into_iter().map(|c| Vec3::from(c).extend(1.0)).collect()
@@ -228,30 +231,58 @@ impl Reader<'_> {
             Some(a) => vectors(self.buffers.floats::<4>(&a, "vertex colours")?, Vec4::from),
             None => Vec::new(),
         };
-        let buffers = self.buffers;
-        let read3 = |semantic, use_| match primitive.get(&semantic) {
-            Some(accessor) => Ok(vectors(buffers.floats(&accessor, use_)?, Vec3::from)),
-            None => Ok(Vec::new()),
-        };
-        let read2 = |semantic, use_| match primitive.get(&semantic) {
-            Some(accessor) => Ok(vectors(buffers.floats(&accessor, use_)?, Vec2::from)),
-            None => Ok(Vec::new()),
-        };
-        let tangents = match primitive.get(&Semantic::Tangents) {
-            Some(accessor) => vectors(buffers.floats(&accessor, "tangents")?, Vec4::from),
+        let normals = match self.attribute(primitive, Semantic::Normals, n, place) {
+            Some(accessor) => vectors(self.buffers.floats(&accessor, "normals")?, Vec3::from),
             None => Vec::new(),
         };
+        let tangents = match self.attribute(primitive, Semantic::Tangents, n, place) {
+            Some(accessor) => vectors(self.buffers.floats(&accessor, "tangents")?, Vec4::from),
+            None => Vec::new(),
+        };
+        let mut uv_set = |set| match self.attribute(primitive, Semantic::TexCoords(set), n, place) {
+            Some(accessor) => {
+                let uvs = self.buffers.floats(&accessor, "texture coordinates")?;
+                Ok(vectors(uvs, Vec2::from))
+            }
+            None => Ok::<_, SceneError>(Vec::new()),
+        };
+        let (uvs, second_uvs) = (uv_set(0)?, uv_set(1)?);
         Ok(Some(ModelMesh {
             name: String::new(),
             positions: vectors(positions, |p| DVec3::from(p.map(f64::from))),
-            normals: read3(Semantic::Normals, "normals")?,
-            uvs: read2(Semantic::TexCoords(0), "texture coordinates")?,
-            second_uvs: read2(Semantic::TexCoords(1), "texture coordinates")?,
+            normals,
+            uvs,
+            second_uvs,
             tangents,
             colours,
             triangles,
             material: self.material(&primitive.material())?,
         }))
+    }
+
+    /// The accessor of an attribute, if it has a value for each of `n` positions: one that has not is
+    /// of no use, and never read.
+    fn attribute<'d>(
+        &mut self,
+        primitive: &gltf::Primitive<'d>,
+        semantic: Semantic,
+        n: usize,
+        place: &str,
+    ) -> Option<gltf::Accessor<'d>> {
+        let accessor = primitive.get(&semantic)?;
+        if accessor.count() == n {
+            return Some(accessor);
+        }
+        let name = match semantic {
+            Semantic::Normals => "normals",
+            Semantic::Tangents => "tangents",
+            Semantic::Colors(_) => "vertex colours",
+            Semantic::TexCoords(0) => "texture coordinates",
+            _ => "second texture coordinates",
+        };
+        let found = accessor.count();
+        self.warn(format!("{place}: {found} {name} for {n} positions; {name} are left out"));
+        None
     }
 
     /// The number of a material among those read, reading it the first time.

@@ -17,8 +17,9 @@ pub(super) struct MaterialReader<'a> {
     path: &'a Path,
     document: &'a gltf::Document,
     buffers: &'a Buffers<'a>,
-    /// By glTF texture and meaning: the same picture may be colour here and numbers there.
-    read: HashMap<(usize, TexelMeaning), usize>,
+    /// By glTF image, meaning and wrap along u and v: the same picture may be colour here and
+    /// numbers there, and any number of glTF textures may show it.
+    read: HashMap<(usize, TexelMeaning, [Wrap; 2]), usize>,
     pub textures: Vec<Texture>,
     pub warnings: Vec<String>,
 }
@@ -206,10 +207,6 @@ impl<'a> MaterialReader<'a> {
         meaning: TexelMeaning,
         place: &str,
     ) -> Result<Option<usize>, SceneError> {
-        let key = (texture.index(), meaning);
-        if let Some(&index) = self.read.get(&key) {
-            return Ok(Some(index));
-        }
         let Some(image) = texture.source() else {
             self.warnings.push(format!(
                 "{place}: textures[{}] has no PNG or JPEG picture; it is left out",
@@ -217,6 +214,34 @@ impl<'a> MaterialReader<'a> {
             ));
             return Ok(None);
         };
+        let sampler = texture.sampler();
+        let wrap = [wrap(sampler.wrap_s()), wrap(sampler.wrap_t())];
+        let key = (image.index(), meaning, wrap);
+        if let Some(&index) = self.read.get(&key) {
+            return Ok(Some(index));
+        }
+        let same_texels =
+            |known: &&(usize, TexelMeaning, [Wrap; 2])| known.0 == key.0 && known.1 == key.1;
+        let read = match self.read.keys().find(same_texels) {
+            Some(known) => {
+                let mut texture = self.textures[self.read[known]].clone();
+                texture.wrap = wrap;
+                texture
+            }
+            None => self.decode(&image, meaning, wrap)?,
+        };
+        let index = self.textures.len();
+        self.textures.push(read);
+        self.read.insert(key, index);
+        Ok(Some(index))
+    }
+
+    fn decode(
+        &self,
+        image: &gltf::Image,
+        meaning: TexelMeaning,
+        wrap: [Wrap; 2],
+    ) -> Result<Texture, SceneError> {
         let image_place = format!("images[{}]", image.index());
         // From the JSON: the crate's own answer panics on a picture that names no place or type.
         let json = &self.document.as_json().images[image.index()];
@@ -226,6 +251,7 @@ impl<'a> MaterialReader<'a> {
             (_, Some(view)) => self.buffers.view(&view)?,
             (Some(uri), None) => {
                 owned = resolve(self.path, &image_place, uri)?;
+                self.buffers.budget.grant(uri, owned.len());
                 &owned
             }
             (None, None) => {
@@ -236,15 +262,11 @@ impl<'a> MaterialReader<'a> {
                 });
             }
         };
-        let sampler = texture.sampler();
-        let wrap = [wrap(sampler.wrap_s()), wrap(sampler.wrap_t())];
-        let decoded = Texture::decode(bytes, meaning, wrap).map_err(|problem| {
-            SceneError::Picture { path: self.path.into(), place: image_place, problem }
+        let texture = Texture::decode(bytes, meaning, wrap).map_err(|problem| {
+            SceneError::Picture { path: self.path.into(), place: image_place.clone(), problem }
         })?;
-        let index = self.textures.len();
-        self.textures.push(decoded);
-        self.read.insert(key, index);
-        Ok(Some(index))
+        self.buffers.budget.take(texture.n_bytes(), 1, &image_place)?;
+        Ok(texture)
     }
 }
 

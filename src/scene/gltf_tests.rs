@@ -174,6 +174,63 @@ fn giant_counts_end_before_memory_is_asked_for() {
 }
 
 #[test]
+fn an_attribute_of_the_wrong_length_is_not_read_at_all() {
+    // 400 MB of normals out of nothing, and a sparse part that is broken if it is looked at.
+    let accessors = format!(
+        r#"{POSITIONS},{{"componentType":5126,"count":33554432,"type":"VEC3","sparse":{{"count":1,
+        "indices":{{"bufferView":0,"componentType":5125}},"values":{{"bufferView":0}}}}}}"#
+    );
+    let body = format!(
+        r#"{ONE_NODE},"meshes":[{{"primitives":[{{"attributes":{{"POSITION":0,"NORMAL":1}}}}]}}],
+        "accessors":[{accessors}],"bufferViews":[{VIEW}]"#
+    );
+    let mut buffer = floats(&CORNERS);
+    buffer[..4].copy_from_slice(&u32::MAX.to_le_bytes());
+    let model = read_with(&body, &buffer).unwrap();
+    assert!(model.warnings.iter().any(|w| w.contains("33554432 normals for 3 positions")));
+}
+
+#[test]
+fn textures_that_share_a_picture_share_its_texels() {
+    let mut png = Vec::new();
+    let picture = image::RgbImage::from_pixel(1, 1, image::Rgb([255; 3]));
+    picture.write_to(&mut std::io::Cursor::new(&mut png), image::ImageFormat::Png).unwrap();
+    let textures = vec![r#"{"source":0}"#; 50].join(",");
+    let material = |i| format!(r#"{{"emissiveTexture":{{"index":{i}}}}}"#);
+    let materials = (0..50).map(material).collect::<Vec<_>>().join(",");
+    let primitive = |i| format!(r#"{{"attributes":{{"POSITION":0}},"material":{i}}}"#);
+    let primitives = (0..50).map(primitive).collect::<Vec<_>>().join(",");
+    let body = format!(
+        r#"{ONE_NODE},"meshes":[{{"primitives":[{primitives}]}}],"accessors":[{POSITIONS}],
+        "bufferViews":[{VIEW}],"materials":[{materials}],"textures":[{textures}],
+        "images":[{{"uri":"data:image/png;base64,{}"}}]"#,
+        base64(&png)
+    );
+    let model = read_with(&body, &floats(&CORNERS)).unwrap();
+    assert_eq!((model.materials.len(), model.textures.len()), (50, 1));
+}
+
+#[test]
+fn only_the_first_buffer_of_a_glb_is_its_binary_chunk() {
+    let json = r#"{"asset":{"version":"2.0"},"buffers":[{"byteLength":4},{"byteLength":4}]} "#;
+    let mut bytes = b"glTF".to_vec();
+    let words = |bytes: &mut Vec<u8>, words: &[u32]| {
+        words.iter().for_each(|w| bytes.extend(w.to_le_bytes()));
+    };
+    let json = format!("{json:width$}", width = json.len().next_multiple_of(4));
+    words(&mut bytes, &[2, 12 + 8 + json.len() as u32 + 8 + 4, json.len() as u32]);
+    bytes.extend(b"JSON");
+    bytes.extend(json.as_bytes());
+    words(&mut bytes, &[4]);
+    bytes.extend(b"BIN\0\0\0\0\0");
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("two.glb");
+    std::fs::write(&path, bytes).unwrap();
+    let error = read(&path).unwrap_err().to_string();
+    assert!(error.contains("buffers[1]") && error.contains("uri"), "{error}");
+}
+
+#[test]
 fn files_outside_the_folder_are_not_opened() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("evil.gltf");

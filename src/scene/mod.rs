@@ -5,6 +5,7 @@
 
 pub mod assemble;
 pub mod bounds;
+mod budget;
 mod buffers;
 mod error;
 #[cfg(test)]

@@ -22,7 +22,7 @@ const MAX_BYTES: u64 = 1 << 30;
 /// A picture on a surface. (0, 0) is the corner of the top-left texel, (1, 1) that of the last.
 #[derive(Clone, Debug)]
 pub struct Texture {
-    /// Shared: the same file may be placed many times.
+    /// Shared: the same file may be placed many times, a picture be wrapped in several ways.
     texels: Arc<Texels>,
     /// Along u and v.
     pub wrap: [Wrap; 2],
@@ -102,6 +102,15 @@ impl Texture {
         };
         let texels = texels.ok_or("the picture's size does not fit its data")?;
         Ok(Self { texels: Arc::new(texels), wrap })
+    }
+
+    /// Memory its texels take.
+    pub(super) fn n_bytes(&self) -> usize {
+        let size = match &*self.texels {
+            Texels::Bytes { .. } => std::mem::size_of::<[u8; 4]>(),
+            Texels::Floats(_) => std::mem::size_of::<Vec4>(),
+        };
+        self.width() * self.height() * size
     }
 
     pub fn width(&self) -> usize {
