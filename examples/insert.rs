@@ -40,8 +40,8 @@ fn main() -> Result<(), Box<dyn Error>> {
 
     // The object, and the ground it stands on.
     let mut scene = Scene::new(DVec3::ZERO);
-    scene.add_object(&scene::read(&args.object)?, &DAffine3::IDENTITY);
-    scene.add_plane(DVec2::splat(3.0), DVec3::ZERO, DVec3::Y, AlbedoSource::Plate);
+    scene.add_object(&scene::read(&args.object)?, &DAffine3::IDENTITY)?;
+    scene.add_plane(DVec2::splat(3.0), DVec3::ZERO, DVec3::Y, AlbedoSource::Plate)?;
 
     // What the object changes, until its error is small enough.
     let job = Job {

@@ -2,7 +2,9 @@
 
 use glam::{DAffine3, DMat3, DVec2, DVec3, Vec2, Vec3, Vec4};
 
-use super::{AlbedoSource, Bounds, LocalMesh, LocalRole, Material, Mesh, Model, ModelMesh, Scene};
+use super::{
+    AlbedoSource, Bounds, LocalMesh, LocalRole, Material, Mesh, Model, ModelMesh, Scene, SceneError,
+};
 
 /// World point in the middle of all placed models: the best origin of their scene. Zero for nothing.
 pub fn centre(placed: &[(&Model, DAffine3)]) -> DVec3 {
@@ -19,40 +21,53 @@ impl Scene {
     }
 
     /// Puts a model into the world *with*; returns its number among the objects.
-    pub fn add_object(&mut self, model: &Model, world_from_model: &DAffine3) -> usize {
+    ///
+    /// # Errors
+    /// As [`Model::check_place`], and nothing is added.
+    pub fn add_object(
+        &mut self,
+        model: &Model,
+        world_from_model: &DAffine3,
+    ) -> Result<usize, SceneError> {
         let placed = self.object_names.len();
+        let meshes = self.place(model, world_from_model, placed)?;
         self.object_names.push(model.name.clone());
-        let meshes = self.place(model, world_from_model, placed);
         self.objects.extend(meshes);
-        placed
+        Ok(placed)
     }
 
     /// Puts a model of a real thing into both worlds; returns its number among the local things.
+    ///
+    /// # Errors
+    /// As [`Model::check_place`], and nothing is added.
     pub fn add_local(
         &mut self,
         model: &Model,
         world_from_model: &DAffine3,
         role: LocalRole,
         albedo: AlbedoSource,
-    ) -> usize {
+    ) -> Result<usize, SceneError> {
         let placed = self.local_names.len();
+        let meshes = self.place(model, world_from_model, placed)?;
         self.local_names.push(model.name.clone());
-        let meshes = self.place(model, world_from_model, placed);
         self.local.extend(meshes.into_iter().map(|mesh| LocalMesh { mesh, role, albedo }));
-        placed
+        Ok(placed)
     }
 
     /// Puts a flat rectangle of Lambert white into both worlds, as support.
     ///
     /// `at`: its middle, world. `normal`: where it faces, not zero. Its first side (`size.x`) runs
     /// along the world's X as far as the plane allows (Z if the plane faces along X), uv 0…1 over it.
+    ///
+    /// # Errors
+    /// As [`Model::check_place`], and nothing is added.
     pub fn add_plane(
         &mut self,
         size: DVec2,
         at: DVec3,
         normal: DVec3,
         albedo: AlbedoSource,
-    ) -> usize {
+    ) -> Result<usize, SceneError> {
         let y = normal.normalize_or(DVec3::Y);
         let along = if y.x.abs() < 0.9 { DVec3::X } else { DVec3::NEG_Z };
         let x = (along - along.dot(y) * y).normalize();
@@ -102,7 +117,13 @@ impl Scene {
     }
 
     /// The model's meshes in the scene's frame; its materials and textures join the scene's.
-    fn place(&mut self, model: &Model, world_from_model: &DAffine3, placed: usize) -> Vec<Mesh> {
+    fn place(
+        &mut self,
+        model: &Model,
+        world_from_model: &DAffine3,
+        placed: usize,
+    ) -> Result<Vec<Mesh>, SceneError> {
+        model.check_place(world_from_model)?;
         let first_material = self.materials.len();
         let first_texture = self.textures.len();
         self.textures.extend(model.textures.iter().cloned());
@@ -114,7 +135,8 @@ impl Scene {
         }));
         let transform = Placement::new(world_from_model, self.origin);
         let meshes = model.meshes.iter();
-        meshes.map(|mesh| transform.mesh(mesh, placed, first_material + mesh.material)).collect()
+        let place = |mesh| transform.mesh(mesh, placed, first_material + mesh.material);
+        Ok(meshes.map(place).collect())
     }
 }
 
@@ -216,16 +238,30 @@ mod tests {
         let model = tetrahedron();
         let far = DAffine3::from_translation(DVec3::new(412_345.678, 12.5, -5_600_789.123));
         let mut scene = Scene::new(centre(&[(&model, far)]));
-        scene.add_object(&model, &far);
+        scene.add_object(&model, &far).unwrap();
         let corner = scene.to_world(scene.objects[0].positions[1]);
         assert!((corner - far.translation - DVec3::X).length() < 1e-7);
+    }
+
+    #[test]
+    fn a_corner_too_far_for_a_float_is_an_error_that_names_its_mesh() {
+        let mut model = tetrahedron();
+        model.name = "tower".into();
+        model.meshes[0].name = "top".into();
+        let mut scene = Scene::new(DVec3::ZERO);
+        let huge = DAffine3::from_scale(DVec3::splat(1e300));
+        let error = scene.add_object(&model, &huge).unwrap_err().to_string();
+        assert!(error.contains("tower") && error.contains("\"top\""), "{error}");
+        assert!(scene.objects.is_empty() && scene.materials.is_empty());
+        model.meshes[0].positions[1] = DVec3::new(1e300, 0.0, 0.0);
+        assert!(scene.add_object(&model, &DAffine3::IDENTITY).is_err());
     }
 
     #[test]
     fn a_mirrored_object_keeps_its_outside() {
         for scale in [DVec3::ONE, DVec3::new(-2.0, 1.0, 1.0), DVec3::new(-1.0, -1.0, -3.0)] {
             let mut scene = Scene::new(DVec3::ZERO);
-            scene.add_object(&tetrahedron(), &DAffine3::from_scale(scale));
+            scene.add_object(&tetrahedron(), &DAffine3::from_scale(scale)).unwrap();
             let volume = signed_volume(&scene.objects[0]);
             assert!((f64::from(volume) - scale.element_product().abs() / 6.0).abs() < 1e-6);
         }
@@ -236,7 +272,7 @@ mod tests {
         let mut model = tetrahedron();
         model.meshes[0].normals = vec![Vec3::ONE.normalize(); 4];
         let mut scene = Scene::new(DVec3::ZERO);
-        scene.add_object(&model, &DAffine3::from_scale(DVec3::new(1.0, 5.0, 0.2)));
+        scene.add_object(&model, &DAffine3::from_scale(DVec3::new(1.0, 5.0, 0.2))).unwrap();
         let mesh = &scene.objects[0];
         let [a, b, c] = mesh.corners(3);
         let flat = (b - a).cross(c - a).normalize();
@@ -248,7 +284,8 @@ mod tests {
         for normal in [DVec3::Y, DVec3::NEG_Y, DVec3::X, DVec3::new(1.0, 2.0, -0.5)] {
             let mut scene = Scene::new(DVec3::new(1.0, 2.0, 3.0));
             let at = DVec3::new(1.0, 2.0, 3.5);
-            scene.add_plane(DVec2::new(4.0, 2.0), at, 3.0 * normal, AlbedoSource::Plate);
+            let size = DVec2::new(4.0, 2.0);
+            scene.add_plane(size, at, 3.0 * normal, AlbedoSource::Plate).unwrap();
             assert_eq!(scene.local[0].role, LocalRole::Support);
             for triangle in 0..2 {
                 let surface = scene.surface(Place::Local, 0, triangle, 0.25, 0.25);
@@ -274,8 +311,8 @@ mod tests {
         model.materials[0].normal_texture =
             Some(TextureRef { texture: 0, uv_set: 0, uv_transform: glam::Affine2::IDENTITY });
         let mut scene = Scene::new(DVec3::ZERO);
-        assert_eq!(scene.add_object(&model, &DAffine3::IDENTITY), 0);
-        assert_eq!(scene.add_object(&model, &DAffine3::IDENTITY), 1);
+        assert_eq!(scene.add_object(&model, &DAffine3::IDENTITY).unwrap(), 0);
+        assert_eq!(scene.add_object(&model, &DAffine3::IDENTITY).unwrap(), 1);
         let second = &scene.objects[1];
         assert_eq!((second.placed, second.material), (1, 1));
         assert_eq!(scene.materials[1].normal_texture.as_ref().map(|t| t.texture), Some(1));

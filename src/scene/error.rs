@@ -16,6 +16,12 @@ pub enum SceneError {
     TooLarge { path: PathBuf, place: String, found: String, limit: String, remedy: &'static str },
     #[error("{}: requires the glTF extension {name}, which is not supported; export without it", path.display())]
     RequiredExtension { path: PathBuf, name: String },
+    /// A corner that, once placed, lies where f32 has no room for triangles.
+    #[error(
+        "model {model:?}: mesh {mesh:?}: a corner lies {distance_m:e} m from the world's origin, \
+         more than the {limit_m:e} m this program reads; check the model's units, its scale and place"
+    )]
+    TooFar { model: String, mesh: String, distance_m: f64, limit_m: f64 },
     /// A file named by another file that cannot be used.
     #[error("{}: {place} names {uri:?}: {problem}", path.display())]
     Reference { path: PathBuf, place: String, uri: String, problem: String },

@@ -103,8 +103,23 @@ impl<'a> MaterialReader<'a> {
         if material.unlit() {
             self.warnings.push(format!("{place}: KHR_materials_unlit is lit like any other"));
         }
+        self.check_finite(&result, &place)?;
         self.clamp(&mut result, &place);
         Ok(result)
+    }
+
+    /// JSON has numbers that f32 has not: those are no light and no glass.
+    fn check_finite(&self, material: &Material, place: &str) -> Result<(), SceneError> {
+        let factors = [
+            ("emissive", material.emissive.is_finite()),
+            ("specular colour", material.specular_colour.is_finite()),
+            ("ior", material.ior.is_finite()),
+        ];
+        let Some((name, _)) = factors.into_iter().find(|(_, finite)| !finite) else {
+            return Ok(());
+        };
+        let problem = format!("its {name} is too large for a 32-bit number");
+        Err(SceneError::Broken { path: self.path.into(), place: place.into(), problem })
     }
 
     /// Keeps factors where physics has them; says which were not there.

@@ -231,6 +231,26 @@ fn only_the_first_buffer_of_a_glb_is_its_binary_chunk() {
 }
 
 #[test]
+fn factors_too_large_for_a_float_name_their_material() {
+    for (factor, name) in [
+        (
+            r#""emissiveFactor":[1,1,1],"extensions":{"KHR_materials_emissive_strength":{"emissiveStrength":1e39}}"#,
+            "emissive",
+        ),
+        (r#""extensions":{"KHR_materials_ior":{"ior":1e39}}"#, "ior"),
+        (
+            r#""extensions":{"KHR_materials_specular":{"specularColorFactor":[1,1e39,1]}}"#,
+            "specular",
+        ),
+    ] {
+        let more = format!(r#"{ONE_NODE},"materials":[{{{factor}}}]"#);
+        let body = triangle(r#","material":0"#, POSITIONS, VIEW, &more);
+        let error = read_with(&body, &floats(&CORNERS)).unwrap_err().to_string();
+        assert!(error.contains("materials[0]") && error.contains(name), "{error}");
+    }
+}
+
+#[test]
 fn files_outside_the_folder_are_not_opened() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("evil.gltf");

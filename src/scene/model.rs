@@ -4,7 +4,7 @@ use std::collections::HashMap;
 
 use glam::{DAffine3, DVec3, Vec2, Vec3, Vec4};
 
-use super::{Material, Texture};
+use super::{Material, SceneError, Texture};
 
 /// What a glTF or OBJ file holds, in the file's own coordinates (metres, f64).
 #[derive(Clone, Debug, Default)]
@@ -55,7 +55,28 @@ impl Model {
     }
 }
 
+/// Farthest place of a corner, metres: products of three such lengths, which ray tests and areas
+/// are made of, are still numbers in f32 (up to 3.4e38).
+const FARTHEST_M: f64 = 1e12;
+
 impl Model {
+    /// Whether all of it has room in the world once placed.
+    ///
+    /// # Errors
+    /// [`SceneError::TooFar`] names the first mesh with a corner beyond 1e12 m, or at no place at all.
+    pub fn check_place(&self, world_from_model: &DAffine3) -> Result<(), SceneError> {
+        for mesh in &self.meshes {
+            let distances =
+                mesh.positions.iter().map(|&p| world_from_model.transform_point3(p).length());
+            // NaN too is not near enough.
+            if let Some(distance_m) = distances.into_iter().find(|d| !(*d <= FARTHEST_M)) {
+                let (model, mesh) = (self.name.clone(), mesh.name.clone());
+                return Err(SceneError::TooFar { model, mesh, distance_m, limit_m: FARTHEST_M });
+            }
+        }
+        Ok(())
+    }
+
     /// Turns solids (refracting materials) inside out that were exported so, and warns of open ones.
     ///
     /// A ray knows by the winding whether it enters or leaves glass: an inverted bowl would bend

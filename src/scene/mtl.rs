@@ -203,7 +203,11 @@ impl MaterialLibrary {
             emissive: mtl.emissive.unwrap_or(Vec3::ZERO),
             ior: mtl.ior.filter(|&ior| ior >= 1.0).unwrap_or(1.5),
             specular: if is_pbr || specular != Vec3::ZERO { 1.0 } else { 0.0 },
-            specular_colour: if is_pbr { Vec3::ONE } else { 2.0 * specular },
+            specular_colour: if is_pbr {
+                Vec3::ONE
+            } else {
+                (2.0 * specular).min(Vec3::splat(f32::MAX))
+            },
             ..Material::default()
         };
         if mtl.is_glass() {

@@ -6,7 +6,7 @@ use super::file::{Albedo, Object, SupportShape};
 use super::plan::Plan;
 use crate::probe::file::rotation_xyz_deg;
 use crate::report::overlay::Ground;
-use crate::scene::{AlbedoSource, LocalRole, Model, Scene, assemble};
+use crate::scene::{AlbedoSource, LocalRole, Model, Scene, SceneError, assemble};
 
 /// Where an object of the shot stands.
 pub fn world_from_model(object: &Object) -> DAffine3 {
@@ -15,7 +15,10 @@ pub fn world_from_model(object: &Object) -> DAffine3 {
 }
 
 /// Support, local things and objects in one frame near the objects.
-pub fn scene(plan: &Plan) -> Scene {
+///
+/// # Errors
+/// What has no room in the world, see [`Model::check_place`].
+pub fn scene(plan: &Plan) -> Result<Scene, SceneError> {
     let placed = placed_objects(plan);
     let origin = if placed.is_empty() { support_centre(plan) } else { assemble::centre(&placed) };
     let mut scene = Scene::new(origin);
@@ -26,21 +29,21 @@ pub fn scene(plan: &Plan) -> Scene {
     };
     match (&plan.shot.support.shape, &plan.support) {
         (SupportShape::Plane { size, at, normal }, _) => {
-            scene.add_plane(DVec2::from(*size), (*at).into(), (*normal).into(), albedo);
+            scene.add_plane(DVec2::from(*size), (*at).into(), (*normal).into(), albedo)?;
         }
         (SupportShape::Mesh(_), Some(model)) => {
-            scene.add_local(model, &DAffine3::IDENTITY, LocalRole::Support, albedo);
+            scene.add_local(model, &DAffine3::IDENTITY, LocalRole::Support, albedo)?;
         }
         (SupportShape::Mesh(_), None) => {}
     }
     for (keys, model) in plan.shot.local.iter().zip(&plan.local) {
         let role = if keys.holdout { LocalRole::Holdout } else { LocalRole::Prop };
-        scene.add_local(model, &DAffine3::IDENTITY, role, AlbedoSource::Plate);
+        scene.add_local(model, &DAffine3::IDENTITY, role, AlbedoSource::Plate)?;
     }
     for (model, world_from_model) in placed {
-        scene.add_object(model, &world_from_model);
+        scene.add_object(model, &world_from_model)?;
     }
-    scene
+    Ok(scene)
 }
 
 fn placed_objects(plan: &Plan) -> Vec<(&Model, DAffine3)> {

@@ -5,12 +5,14 @@
 
 use std::path::{Path, PathBuf};
 
+use glam::DAffine3;
 use rayon::prelude::*;
 
 use super::camera_keys::{CameraKeys, CameraSource, PoseSource};
 use super::exposures::{self, Exposures, Scale};
 use super::file::{ShotFile, SupportShape};
 use super::pictures::{expand, readable};
+use super::place;
 use super::probe_keys::{ProbeSource, Surroundings};
 use crate::photo::{self, NamedColour, Photo, ReadOptions};
 use crate::report::Warning;
@@ -81,9 +83,12 @@ impl Finder {
         read.into_iter().filter_map(|photo| self.keep(key, photo)).collect()
     }
 
-    fn model(&mut self, key: &str, path: &Path) -> Option<Model> {
+    fn model(&mut self, key: &str, path: &Path, world_from_model: &DAffine3) -> Option<Model> {
         let path = self.file(key, path)?;
-        let model = scene::read(&path);
+        let model = scene::read(&path).and_then(|model| {
+            model.check_place(world_from_model)?;
+            Ok(model)
+        });
         self.keep(key, model)
     }
 
@@ -158,20 +163,25 @@ impl Plan {
         }
         let (probe_photos, exposures) = read_probe(&shot, &mut find);
         if let Some(Surroundings::Mesh(path)) = &shot.surroundings {
-            find.model("surroundings.mesh", path);
+            find.model("surroundings.mesh", path, &DAffine3::IDENTITY);
         }
 
         let support = match &shot.support.shape {
-            SupportShape::Mesh(path) => find.model("support.mesh", path),
+            SupportShape::Mesh(path) => find.model("support.mesh", path, &DAffine3::IDENTITY),
             SupportShape::Plane { .. } => None,
         };
         let local = shot.local.iter().enumerate();
         let local: Vec<Model> = local
-            .filter_map(|(i, local)| find.model(&format!("local[{i}].file"), &local.file))
+            .filter_map(|(i, local)| {
+                find.model(&format!("local[{i}].file"), &local.file, &DAffine3::IDENTITY)
+            })
             .collect();
         let objects = shot.objects.iter().enumerate();
         let objects: Vec<Model> = objects
-            .filter_map(|(i, object)| find.model(&format!("object[{i}].file"), &object.file))
+            .filter_map(|(i, object)| {
+                let at = place::world_from_model(object);
+                find.model(&format!("object[{i}].file"), &object.file, &at)
+            })
             .collect();
 
         match (plate, scale, exposures) {

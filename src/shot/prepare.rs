@@ -74,7 +74,8 @@ pub fn prepare(
 
     stopwatch.begin("build scene and lights", watch);
     let camera = plate_camera(plan, &found_lens, &found_pose);
-    let scene = place::scene(plan);
+    let scene = place::scene(plan)
+        .map_err(|problem| vec![format!("{}: {problem}", plan.shot.path.display())])?;
     let around = Surroundings { plan, camera: &camera, scene: &scene };
     let (light, probe_report, lights_report) =
         light::light(unwrapped, &around).map_err(|problem| vec![problem])?;
