@@ -28,9 +28,12 @@ use super::{AlphaMode, Material, Model, SceneError, Texture, TextureRef};
 #[derive(Default)]
 pub(super) struct MaterialLibrary {
     materials: HashMap<String, MtlMaterial>,
-    /// Pictures already read, by file, meaning and wrap: index into the model's textures.
-    read: HashMap<(PathBuf, TexelMeaning, Wrap), Option<usize>>,
+    /// Pictures already read: index into the model's textures.
+    read: HashMap<PictureKey, Option<usize>>,
 }
+
+/// The library's folder, the picture's name in it, meaning and wrap.
+type PictureKey = (PathBuf, String, TexelMeaning, Wrap);
 
 #[derive(Clone, Default)]
 struct MtlMaterial {
@@ -255,7 +258,8 @@ impl MaterialLibrary {
         model: &mut Model,
     ) -> Option<TextureRef> {
         let wrap = if map.clamp { Wrap::ClampToEdge } else { Wrap::Repeat };
-        let key = (PathBuf::from(&map.name), meaning, wrap);
+        let folder = library.parent().unwrap_or(Path::new("")).to_owned();
+        let key = (folder, map.name.clone(), meaning, wrap);
         let texture = *self.read.entry(key).or_insert_with(|| {
             match read_picture(library, &map.name, meaning, wrap) {
                 Ok(texture) => {

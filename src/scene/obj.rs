@@ -354,6 +354,27 @@ mod tests {
     }
 
     #[test]
+    fn libraries_in_different_folders_have_pictures_of_their_own() {
+        let folder = tempfile::tempdir().unwrap();
+        for (name, colour) in [("a", [255, 0, 0]), ("b", [0, 255, 0])] {
+            let beside = folder.path().join(name);
+            std::fs::create_dir(&beside).unwrap();
+            let picture = image::RgbImage::from_pixel(1, 1, image::Rgb(colour));
+            picture.save(beside.join("tex.png")).unwrap();
+            let mtl = format!("newmtl {name}\nKd 1 1 1\nmap_Kd tex.png\n");
+            std::fs::write(beside.join("m.mtl"), mtl).unwrap();
+        }
+        let faces = "usemtl a\nf 1/1 2/2 3/3\nusemtl b\nf 1/1 2/2 3/3\n";
+        let path = folder.path().join("thing.obj");
+        std::fs::write(&path, format!("mtllib a/m.mtl\nmtllib b/m.mtl\n{SQUARE}{faces}")).unwrap();
+        let model = read(&path).unwrap();
+        let colours = model.materials.iter().map(|material| {
+            material.evaluate(&model.textures, [Vec2::splat(0.5); 2], Vec4::ONE).base_colour
+        });
+        assert_eq!(colours.collect::<Vec<_>>(), [Vec3::X, Vec3::Y]);
+    }
+
+    #[test]
     fn survey_coordinates_keep_their_millimetres() {
         let obj = "v 4123456.123 5600789.001 12.5\nv 4123457.123 5600789.001 12.5\n\
                    v 4123456.123 5600790.001 12.5\nf 1 2 3\n";
