@@ -67,14 +67,16 @@ pub(super) fn read(path: &Path) -> Result<MaterialLibrary, SceneError> {
     let mut library = MaterialLibrary::default();
     let mut name = None;
     for (number, line) in logical_lines(&String::from_utf8_lossy(&bytes)) {
-        let (key, rest) = line.trim().split_once(char::is_whitespace).unwrap_or((line.trim(), ""));
+        let text = line.as_deref().unwrap_or("").trim();
+        let (key, rest) = text.split_once(char::is_whitespace).unwrap_or((text, ""));
         let rest = rest.trim();
         if key == "newmtl" {
             name = Some(rest.to_string());
             let fresh = MtlMaterial { file: path.into(), ..MtlMaterial::default() };
             library.materials.insert(rest.into(), fresh);
         } else if let Some(material) = name.as_ref().and_then(|n| library.materials.get_mut(n))
-            && let Err(problem) = material.line(key, rest)
+            && let Some(problem) =
+                line.as_ref().err().cloned().or_else(|| material.line(key, rest).err())
         {
             material.problems.push(format!("line {number}: {problem}"));
         }

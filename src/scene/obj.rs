@@ -24,7 +24,7 @@ pub fn read(path: &Path) -> Result<Model, SceneError> {
     let bytes = read_file(path)?;
     let mut reader = Reader::new(path);
     for (number, line) in logical_lines(&String::from_utf8_lossy(&bytes)) {
-        reader.line(&line).map_err(|problem| SceneError::Broken {
+        line.and_then(|line| reader.line(&line)).map_err(|problem| SceneError::Broken {
             path: path.into(),
             place: format!("line {number}"),
             problem,
@@ -34,17 +34,35 @@ pub fn read(path: &Path) -> Result<Model, SceneError> {
     Ok(reader.finish())
 }
 
+/// Longest line read, MiB: a face of half a million corners.
+const MAX_LINE_MIB: usize = 4;
+
 /// Lines with their number; a backslash at the end joins the next one, `#` ends one.
-pub(super) fn logical_lines(text: &str) -> impl Iterator<Item = (usize, String)> + '_ {
+///
+/// A line of more than [`MAX_LINE_MIB`] is an error: its words take many times its length.
+pub(super) fn logical_lines(
+    text: &str,
+) -> impl Iterator<Item = (usize, Result<String, String>)> + '_ {
     let mut lines = text.lines().enumerate();
     std::iter::from_fn(move || {
+        let content = |line: &'_ str| line.split('#').next().unwrap_or("").trim_end().len();
         let (index, first) = lines.next()?;
-        let mut line = first.split('#').next().unwrap_or("").trim_end().to_string();
-        while let Some(open) = line.strip_suffix('\\') {
-            let next = lines.next().map_or("", |(_, next)| next);
-            line = format!("{open} {}", next.split('#').next().unwrap_or("").trim_end());
+        let mut line = String::new();
+        let mut next = first;
+        loop {
+            let next_content = &next[..content(next)];
+            if line.len() + next_content.len() > MAX_LINE_MIB << 20 {
+                let problem = format!("the line is longer than {MAX_LINE_MIB} MiB");
+                return Some((index + 1, Err(problem)));
+            }
+            line.push_str(next_content);
+            if !line.ends_with('\\') {
+                return Some((index + 1, Ok(line)));
+            }
+            line.pop();
+            line.push(' ');
+            next = lines.next().map_or("", |(_, next)| next);
         }
-        Some((index + 1, line))
     })
 }
 
@@ -351,6 +369,19 @@ mod tests {
     fn negative_indices_count_from_the_end_and_lines_continue() {
         let model = read_text(&format!("{SQUARE}f -4 \\\n -3 -2 # a\n"), &[]).unwrap();
         assert_eq!(model.meshes[0].positions[2], DVec3::new(1.0, 1.0, 0.0));
+    }
+
+    #[test]
+    fn many_continued_lines_are_joined_in_one_pass_and_a_giant_one_is_refused() {
+        // 300 000 times a copy of the line so far would be 45 GB.
+        let begin = std::time::Instant::now();
+        let face = format!("f 1 2 3 {}4\n", "\\\n".repeat(300_000));
+        let model = read_text(&format!("{SQUARE}{face}"), &[]).unwrap();
+        assert_eq!(model.n_triangles(), 2);
+        assert!(begin.elapsed().as_secs() < 5, "{:?}", begin.elapsed());
+        let giant = format!("{SQUARE}f 1 2 3 {}\n", "4 ".repeat(3_000_000));
+        let error = read_text(&giant, &[]).unwrap_err().to_string();
+        assert!(error.contains("line 8") && error.contains("MiB"), "{error}");
     }
 
     #[test]
