@@ -97,7 +97,12 @@ pub struct TextureRef {
 
 impl TextureRef {
     fn sample(&self, textures: &[Texture], uvs: [Vec2; 2]) -> Vec4 {
-        textures[self.texture].sample(self.uv_transform.transform_point2(uvs[self.uv_set]))
+        textures[self.texture].sample(self.picture_uv(uvs))
+    }
+
+    /// Coordinates on the picture itself where a mesh's two sets are `uvs`.
+    pub(super) fn picture_uv(&self, uvs: [Vec2; 2]) -> Vec2 {
+        self.uv_transform.transform_point2(uvs[self.uv_set])
     }
 }
 

@@ -2,7 +2,7 @@
 
 use glam::{Vec2, Vec3, Vec4};
 
-use super::{Material, Mesh, Scene, SurfaceParameters};
+use super::{Material, Mesh, Scene, SurfaceParameters, TextureRef};
 
 /// Which of the scene's two lists a mesh is in.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -80,7 +80,8 @@ impl Scene {
         let interpolated = blend(&mesh.normals, indices, weights)
             .and_then(Vec3::try_normalize)
             .map_or(geometric_normal, |n| if n.dot(geometric_normal) < 0.0 { -n } else { n });
-        let frame = tangent_frame(mesh, indices, weights, corners, interpolated);
+        let map = material.normal_texture.as_ref();
+        let frame = tangent_frame(mesh, map, indices, weights, corners, interpolated);
         let shading_normal = self.mapped_normal(material, uvs, frame, geometric_normal);
         let (tangent, bitangent) = perpendicular(shading_normal, frame[0]);
 
@@ -184,9 +185,10 @@ fn colour_at(mesh: &Mesh, indices: [usize; 3], weights: [f32; 3]) -> Vec4 {
 }
 
 /// Tangent, bitangent, normal of the normal map: from the file's tangents, else from the direction
-/// of growing u, else any.
+/// in which its picture's u grows, else any.
 fn tangent_frame(
     mesh: &Mesh,
+    map: Option<&TextureRef>,
     indices: [usize; 3],
     weights: [f32; 3],
     corners: [Vec3; 3],
@@ -194,24 +196,28 @@ fn tangent_frame(
 ) -> [Vec3; 3] {
     let stored = blend(&mesh.tangents, indices, weights)
         .map(|t| (t.truncate(), if t.w < 0.0 { -1.0 } else { 1.0 }));
-    let derived = || uv_tangent(mesh, indices, corners, normal);
+    let derived = || uv_tangent(picture_uvs(mesh, map, indices)?, corners, normal);
     let (along, hand) = stored.or_else(derived).unwrap_or((Vec3::ZERO, 1.0));
     let (tangent, bitangent) = perpendicular(normal, along);
     [tangent, hand * bitangent, normal]
 }
 
-/// Direction in which u grows on the triangle, and whether v grows to its left (seen against the
-/// normal) or right. v runs down the picture, its normal map's green runs up: MikkTSpace's sign.
-fn uv_tangent(
-    mesh: &Mesh,
-    indices: [usize; 3],
-    corners: [Vec3; 3],
-    normal: Vec3,
-) -> Option<(Vec3, f32)> {
-    if mesh.uvs.is_empty() {
+/// Where the corners lie on the normal map's picture: in its own set of coordinates, through its
+/// own transform. Without a map, the first set.
+fn picture_uvs(mesh: &Mesh, map: Option<&TextureRef>, indices: [usize; 3]) -> Option<[Vec2; 3]> {
+    let sets = [&mesh.uvs, &mesh.second_uvs];
+    if sets[map.map_or(0, |map| map.uv_set)].is_empty() {
         return None;
     }
-    let [a, b, c] = indices.map(|i| mesh.uvs[i]);
+    Some(indices.map(|i| {
+        let uvs = sets.map(|set| set.get(i).copied().unwrap_or(Vec2::ZERO));
+        map.map_or(uvs[0], |map| map.picture_uv(uvs))
+    }))
+}
+
+/// Direction in which u grows on the triangle, and whether v grows to its left (seen against the
+/// normal) or right. v runs down the picture, its normal map's green runs up: MikkTSpace's sign.
+fn uv_tangent([a, b, c]: [Vec2; 3], corners: [Vec3; 3], normal: Vec3) -> Option<(Vec3, f32)> {
     let (e1, e2) = (corners[1] - corners[0], corners[2] - corners[0]);
     let (d1, d2) = (b - a, c - a);
     let determinant = d1.x * d2.y - d1.y * d2.x;
@@ -281,6 +287,32 @@ mod tests {
             let stored = scene.surface(Place::Object, 0, 0, 0.2, 0.2).shading_normal;
             assert!((stored - expected).length() < 1e-6, "{stored}");
         }
+    }
+
+    #[test]
+    fn a_normal_map_is_read_in_the_frame_of_its_own_coordinates() {
+        use glam::{Affine2, Mat2};
+        // Red 0.9: toward growing u of the picture, wherever that points on the square.
+        let texel = Vec4::new(0.9, 0.5, 0.8, 1.0);
+        let shaded = |uv_set, uv_transform, second: [Vec2; 4]| {
+            let texture =
+                Texture::from_linear(Image::filled(1, 1, texel), [Wrap::Repeat; 2]).unwrap();
+            let normal_texture = Some(TextureRef { texture: 0, uv_set, uv_transform });
+            let material = Material { normal_texture, ..Material::default() };
+            let mut scene = square(1.0, material, vec![texture]);
+            scene.objects[0].second_uvs = second.to_vec();
+            scene.surface(Place::Object, 0, 0, 0.2, 0.2).shading_normal
+        };
+        let close = |n: Vec3, to: Vec3| assert!((n - to).length() < 1e-6, "{n} is not {to}");
+        // The second set has u grow upward.
+        let upward = [Vec2::ZERO, Vec2::new(0.0, 1.0), Vec2::ONE, Vec2::new(1.0, 0.0)];
+        close(shaded(1, Affine2::IDENTITY, upward), Vec3::new(0.0, 0.8, 0.6));
+        // u' = 1 − u: the picture mirrored. u' = v: turned, growing downward.
+        let mirror =
+            Affine2 { matrix2: Mat2::from_diagonal(Vec2::new(-1.0, 1.0)), translation: Vec2::X };
+        close(shaded(0, mirror, upward), Vec3::new(-0.8, 0.0, 0.6));
+        let turned = Affine2::from_mat2(Mat2::from_cols(Vec2::new(0.0, -1.0), Vec2::X));
+        close(shaded(0, turned, upward), Vec3::new(0.0, -0.8, 0.6));
     }
 
     #[test]
