@@ -14,10 +14,10 @@ use super::align;
 use super::exposure;
 use super::lint::{self, Warning};
 use super::noise::{self, Noise, Pair, Quantisation};
-use super::response::{self, Response};
+use super::response;
 use super::{BracketError, Radiance, Validity};
 use crate::conventions::{LUMINANCE_WEIGHTS, Rgb};
-use crate::photo::{Format, Image, Photo, Samples};
+use crate::photo::{Format, Image, Photo, ToneCurve, Transfer};
 
 /// A photograph of a bracket and how much light it gathered.
 #[derive(Clone, Copy, Debug)]
@@ -32,9 +32,7 @@ pub struct Frame<'a> {
 pub struct MergeOptions {
     /// Correct labelled exposures from the pixels; otherwise they are taken as true.
     pub refine_exposures: bool,
-    /// Recover the camera's tone curve where 8-bit files are not what their profile says; otherwise
-    /// that is only warned of.
-    pub recover_response: bool,
+    pub response: ResponseSource,
     /// Measure shifts between frames and undo those that help.
     pub align: bool,
     /// The camera's noise; `None` measures it in the bracket.
@@ -43,8 +41,24 @@ pub struct MergeOptions {
 
 impl Default for MergeOptions {
     fn default() -> Self {
-        Self { refine_exposures: true, recover_response: true, align: true, noise: None }
+        Self {
+            refine_exposures: true,
+            response: ResponseSource::WhereShown,
+            align: true,
+            noise: None,
+        }
     }
+}
+
+/// Which tone curve 8-bit files are read through.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ResponseSource {
+    /// What the files say; other curves are only warned of.
+    Stated,
+    /// The bracket's own where the pixels contradict the files, else what the files say.
+    WhereShown,
+    /// The bracket's own.
+    Bracket,
 }
 
 /// A merged bracket and what was found on the way.
@@ -57,7 +71,7 @@ pub struct Merged {
     pub shifts: Vec<DVec2>,
     pub noise: Noise,
     /// The camera's tone curve, where the pixels showed that it is not the files' stated one.
-    pub response: Option<Response>,
+    pub response: Option<ToneCurve>,
     pub warnings: Vec<Warning>,
     /// The frames' paths, in the order given.
     pub paths: Vec<PathBuf>,
@@ -111,7 +125,12 @@ pub fn merge(frames: &[Frame], options: &MergeOptions) -> Result<Merged, Bracket
         }
     }
     let mut response = None;
-    if options.recover_response && exposure::show_tone_curve(&layers, &photos, &labels, &order) {
+    let recover = match options.response {
+        ResponseSource::Stated => false,
+        ResponseSource::WhereShown => exposure::show_tone_curve(&layers, &photos, &labels, &order),
+        ResponseSource::Bracket => true,
+    };
+    if recover {
         response = response::recover(&photos, &layers, &labels, &order);
         if let Some(response) = &response {
             layers
@@ -167,7 +186,7 @@ impl Layer {
             linear: photo.linear.clone(),
             usable: clipped.map(|&c| !c),
             clipped: photo.clipped.clone(),
-            quantisation: Quantisation::new(&photo.samples, photo.encoding),
+            quantisation: Quantisation::new(&photo.samples, photo.encoding.clone()),
             shift: DVec2::ZERO,
         }
     }
@@ -184,18 +203,11 @@ impl Layer {
         (self.shift.x.round() as i64, self.shift.y.round() as i64)
     }
 
-    /// Reads the photograph's codes again through a recovered response.
-    fn redecode(&mut self, photo: &Photo, response: &Response) {
-        let Samples::U8 { channels, data } = &photo.samples else { return };
-        let rec709_from_file = photo.encoding.primaries.rec709_from_rgb().unwrap_or_default();
-        let mut codes = data.chunks_exact(*channels);
-        let decode = |_: &Rgb| {
-            let Some(&[r, g, b, ..]) = codes.next() else { return Rgb::ZERO };
-            let light = [r, g, b].map(|code| f64::from(response.linear(code)));
-            (rec709_from_file * DVec3::from(light)).as_vec3()
-        };
-        self.linear = photo.linear.map(decode);
-        self.quantisation = Quantisation::Response(Box::new(response.clone()));
+    /// Reads the photograph's codes again through a recovered curve.
+    fn redecode(&mut self, photo: &Photo, curve: &ToneCurve) {
+        let Ok(photo) = photo.redecoded(Transfer::Measured(curve.clone())) else { return };
+        self.quantisation = Quantisation::new(&photo.samples, photo.encoding);
+        self.linear = photo.linear;
         if self.shift != DVec2::ZERO {
             // The mask is shifted already, and shrinks no further.
             let (linear, _) = align::undo(&self.linear, &self.usable, self.shift);

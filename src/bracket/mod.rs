@@ -14,9 +14,8 @@ mod response;
 mod simulation;
 
 pub use self::lint::Warning;
-pub use self::merge::{Frame, MergeOptions, Merged, merge};
+pub use self::merge::{Frame, MergeOptions, Merged, ResponseSource, merge};
 pub use self::noise::Noise;
-pub use self::response::Response;
 
 use std::path::PathBuf;
 

@@ -7,7 +7,6 @@
 //! both take in what the compression adds, so FW is lower than the sensor's; what all frames share
 //! (chroma subsampling, a lens's glare) no difference shows, and σ does not contain it.
 
-use super::response::Response;
 use crate::photo::{Encoding, Samples};
 
 /// Noise of a camera at one setting.
@@ -38,8 +37,6 @@ pub(super) enum Quantisation {
     None,
     /// A known curve with so many codes from black to white.
     Curve { encoding: Encoding, codes: f64 },
-    /// The 256 codes of a recovered response.
-    Response(Box<Response>),
 }
 
 impl Quantisation {
@@ -56,11 +53,11 @@ impl Quantisation {
         let step = match self {
             Self::None => 0.0,
             Self::Curve { encoding, codes } => {
-                let code = f64::from(encoding.transfer.encode(y.clamp(0.0, 1.0) as f32)) * codes;
+                let code = f64::from(encoding.transfer.encode(y.max(0.0) as f32)) * codes;
+                let code = code.min(*codes);
                 let decode = |code: f64| f64::from(encoding.transfer.decode((code / codes) as f32));
                 decode((code + 0.5).min(*codes)) - decode((code - 0.5).max(0.0))
             }
-            Self::Response(response) => response.step(y as f32).into(),
         };
         step * step / 12.0
     }

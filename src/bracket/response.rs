@@ -10,40 +10,16 @@
 use nalgebra::{DMatrix, DVector};
 
 use super::merge::Layer;
-use crate::photo::{Photo, Samples, colour::srgb_decode};
-
-/// Linear value (white of an sRGB file = 1) of every 8-bit code; rises strictly.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Response([f32; 256]);
-
-impl Response {
-    /// Linear value of a code.
-    pub fn linear(&self, code: u8) -> f32 {
-        self.0[usize::from(code)]
-    }
-
-    /// Half the distance between the codes on both sides of the one nearest to linear value `y`.
-    pub(super) fn step(&self, y: f32) -> f32 {
-        let code = self.0.partition_point(|&v| v < y).clamp(1, 254);
-        0.5 * (self.0[code + 1] - self.0[code - 1])
-    }
-
-    /// Largest factor between this curve and sRGB over codes 20…240.
-    pub fn distance_from_srgb(&self) -> f64 {
-        (20..=240u8)
-            .map(|code| {
-                let srgb = srgb_decode(f32::from(code) / 255.0);
-                f64::from(self.linear(code) / srgb).ln().abs().exp()
-            })
-            .fold(1.0, f64::max)
-    }
-}
+use crate::photo::{Photo, Samples, ToneCurve, colour::srgb_decode};
 
 /// Smoothness λ and number of sample pixels (methods-capture C3: 0.2 % on an S-curve).
 const SMOOTHNESS: f64 = 50.0;
 const SAMPLES: usize = 1000;
-/// Codes of a neighbour may differ this much: samples lie away from edges.
-const FLAT_CODES: u8 = 2;
+/// Codes of a neighbour may differ this much: samples lie away from edges. The first that gives
+/// enough samples is taken; a small or noisy picture has no flatter places.
+const FLAT_CODES: [u8; 3] = [2, 4, 8];
+/// Fewer say too little about 256 codes.
+const FEWEST_SAMPLES: usize = SAMPLES / 4;
 /// sRGB code of 18 % grey, where the curve is anchored.
 const GREY_CODE: usize = 118;
 
@@ -53,13 +29,14 @@ pub(super) fn recover(
     layers: &[Layer],
     exposures: &[f64],
     order: &[usize],
-) -> Option<Response> {
-    let samples = Codes::new(photos, layers, order)?.samples();
-    if samples.len() < SAMPLES / 4 {
-        return None;
-    }
+) -> Option<ToneCurve> {
+    let codes = Codes::new(photos, layers, order)?;
+    let samples = FLAT_CODES
+        .iter()
+        .map(|&flat| codes.samples(flat))
+        .find(|samples| samples.len() >= FEWEST_SAMPLES)?;
     let logs: Vec<f64> = order.iter().map(|&k| exposures[k].ln()).collect();
-    solve(&samples, &logs).map(anchored)
+    solve(&samples, &logs).and_then(anchored)
 }
 
 /// The frames' 8-bit codes on one grid.
@@ -88,7 +65,7 @@ impl<'a> Codes<'a> {
     }
 
     /// The code of a frame at a pixel of the reference, if it lies on a flat place there.
-    fn flat_code(&self, k: usize, x: i64, y: i64, channel: usize) -> Option<u8> {
+    fn flat_code(&self, k: usize, x: i64, y: i64, channel: usize, flat: u8) -> Option<u8> {
         let (x, y) = (x + self.shifts[k].0, y + self.shifts[k].1);
         if x < 2 || y < 2 || x >= self.width - 2 || y >= self.height - 2 {
             return None;
@@ -96,14 +73,14 @@ impl<'a> Codes<'a> {
         let (data, channels) = self.frames[k];
         let at = |x: i64, y: i64| data[(y * self.width + x) as usize * channels + channel];
         let code = at(x, y);
-        let flat = [(2, 0), (-2, 0), (0, 2), (0, -2)]
+        let is_flat = [(2, 0), (-2, 0), (0, 2), (0, -2)]
             .iter()
-            .all(|&(dx, dy)| at(x + dx, y + dy).abs_diff(code) <= FLAT_CODES);
-        flat.then_some(code)
+            .all(|&(dx, dy)| at(x + dx, y + dy).abs_diff(code) <= flat);
+        is_flat.then_some(code)
     }
 
     /// Pixels spread over the codes of the middle frame: each a code for every frame.
-    fn samples(&self) -> Vec<Vec<u8>> {
+    fn samples(&self, flat: u8) -> Vec<Vec<u8>> {
         const BANDS: usize = 16;
         let middle = self.frames.len() / 2;
         let mut bands = vec![Vec::new(); BANDS];
@@ -116,15 +93,22 @@ impl<'a> Codes<'a> {
             let (x, y) = ((at % self.width as u64) as i64, (at / self.width as u64) as i64);
             let channel = (i % 3) as usize;
             let codes: Option<Vec<u8>> =
-                (0..self.frames.len()).map(|k| self.flat_code(k, x, y, channel)).collect();
+                (0..self.frames.len()).map(|k| self.flat_code(k, x, y, channel, flat)).collect();
             let Some(codes) = codes else { continue };
             let band: &mut Vec<Vec<u8>> = &mut bands[usize::from(codes[middle]) * BANDS / 256];
             let seen_twice = codes.iter().filter(|&&c| weight(c) > 4.0).count() >= 2;
-            if seen_twice && band.len() < SAMPLES / BANDS {
+            if seen_twice && band.len() < SAMPLES {
                 band.push(codes);
             }
         }
-        bands.concat()
+        // Evenly from all bands; what empty ones leave, the fuller ones give.
+        let mut samples = Vec::new();
+        bands.sort_by_key(Vec::len);
+        for (i, band) in bands.iter().enumerate() {
+            let share = (SAMPLES - samples.len()) / (BANDS - i);
+            samples.extend_from_slice(&band[..band.len().min(share)]);
+        }
+        samples
     }
 }
 
@@ -165,8 +149,9 @@ fn solve(samples: &[Vec<u8>], log_exposures: &[f64]) -> Option<DVector<f64>> {
     normal.cholesky().map(|c| c.solve(&right)).filter(|g| g.iter().all(|v| v.is_finite()))
 }
 
-/// The curve of g, made to rise strictly and to give 18 % grey its sRGB meaning.
-fn anchored(g: DVector<f64>) -> Response {
+/// The curve of g, made to rise strictly and to give 18 % grey its sRGB meaning; `None` if it runs
+/// beyond all numbers.
+fn anchored(g: DVector<f64>) -> Option<ToneCurve> {
     let grey = f64::from(srgb_decode(GREY_CODE as f32 / 255.0));
     let mut curve: Vec<f64> = g.iter().map(|v| (v - g[GREY_CODE]).exp() * grey).collect();
     // Away from grey outward: noise must not turn the curve around.
@@ -182,5 +167,5 @@ fn anchored(g: DVector<f64>) -> Response {
     }
     // Code 0 is black, whatever a logarithm says.
     response[0] = 0.0;
-    Response(response)
+    ToneCurve::new(response)
 }

@@ -291,7 +291,7 @@ fn a_tone_curve_is_recovered_to_two_percent() {
 #[test]
 fn a_tone_curve_that_may_not_be_recovered_is_reported() {
     let (_, photos, exposures) = shot_through_a_curve(13);
-    let options = MergeOptions { recover_response: false, ..MergeOptions::default() };
+    let options = MergeOptions { response: ResponseSource::Stated, ..MergeOptions::default() };
     let merged = merge(&frames(&photos, &exposures), &options).unwrap();
     assert!(merged.response.is_none());
     assert!(

@@ -5,7 +5,9 @@ use std::path::PathBuf;
 use serde::Serialize;
 
 use super::{CliError, Global, Outcome};
-use crate::bracket::{self, Frame, MergeOptions, Merged, Noise, Validity, exposure};
+use crate::bracket::{
+    self, Frame, MergeOptions, Merged, Noise, ResponseSource, Validity, exposure,
+};
 use crate::photo::{self, Photo, ReadOptions, colour};
 
 /// Merge an exposure bracket into radiance with variance and validity
@@ -96,7 +98,11 @@ pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
         photos.iter().zip(&stated).map(|(photo, &exposure)| Frame { photo, exposure }).collect();
     let merge_options = MergeOptions {
         refine_exposures: !args.trust_times,
-        recover_response: !args.no_response,
+        response: if args.no_response {
+            ResponseSource::Stated
+        } else {
+            ResponseSource::WhereShown
+        },
         align: !args.no_align,
         noise,
     };

@@ -33,7 +33,7 @@ pub fn encode(plate: &Photo, composite: &Composite, coverage: &Image<f32>) -> En
             Some(matrix) => (matrix * linear.as_dvec3()).as_vec3(),
             None => linear,
         };
-        let transfer = plate.encoding.transfer;
+        let transfer = &plate.encoding.transfer;
         let colour = Rgb::from_array(linear.to_array().map(|l| transfer.encode(l)));
         let alpha = plate.alpha.as_ref().map_or(1.0, |a| a.pixels()[i]);
         let covered = coverage.pixels()[i];
@@ -85,11 +85,11 @@ impl Code for u16 {
 }
 
 /// Copies `data`, replacing the samples of changed pixels by `pixel` stored with `store`.
-fn replace<T: Copy + Send + Sync>(
+fn replace<'a, T: Copy + Send + Sync>(
     data: &[T],
     channels: usize,
     changed: &[bool],
-    pixel: impl Fn(usize) -> (Rgb, Transfer, f32) + Sync,
+    pixel: impl Fn(usize) -> (Rgb, &'a Transfer, f32) + Sync,
     store: impl Fn(f32) -> (T, bool) + Sync,
 ) -> (Vec<T>, u64) {
     let mut out = data.to_vec();
@@ -117,7 +117,7 @@ fn replace<T: Copy + Send + Sync>(
 }
 
 /// Luminance of an encoded colour, encoded again.
-fn grey(colour: Rgb, transfer: Transfer) -> f32 {
+fn grey(colour: Rgb, transfer: &Transfer) -> f32 {
     let linear = Rgb::from_array(colour.to_array().map(|v| transfer.decode(v)));
     transfer.encode(luminance(linear))
 }
@@ -126,7 +126,7 @@ fn grey(colour: Rgb, transfer: Transfer) -> f32 {
 mod tests {
     use super::*;
     use crate::composite::{Mode, compose};
-    use crate::photo::{Encoding, EncodingSource, Primaries};
+    use crate::photo::{Encoding, EncodingSource, Primaries, ToneCurve};
     use crate::render::Difference;
 
     /// A plate whose samples run through all 8-bit codes, in a wide encoding.
@@ -145,8 +145,14 @@ mod tests {
 
     #[test]
     fn encoding_inverts_reading_for_every_code_and_primaries() {
-        for primaries in [Primaries::Rec709, Primaries::DisplayP3, Primaries::AdobeRgb] {
-            let plate = plate(primaries);
+        let bent = ToneCurve::new(std::array::from_fn(|code| (code as f32).powi(3) * 1e-6));
+        for (primaries, transfer) in [
+            (Primaries::Rec709, Transfer::Srgb),
+            (Primaries::DisplayP3, Transfer::Srgb),
+            (Primaries::AdobeRgb, Transfer::Gamma(220)),
+            (Primaries::Rec709, Transfer::Measured(bent.expect("a curve that rises"))),
+        ] {
+            let plate = plate(primaries).redecoded(transfer).unwrap();
             let mut composite = compose(&plate, &Difference::nothing(16, 16), Mode::Ratio).unwrap();
             // Every pixel is said to be changed, by nothing: all are encoded anew.
             composite.changed = Image::filled(16, 16, true);

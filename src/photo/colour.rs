@@ -26,25 +26,32 @@ pub fn srgb_encode(linear: f32) -> f32 {
 
 impl Transfer {
     /// Linear light of one of the file's numbers (scaled so that white is 1).
-    pub fn decode(self, value: f32) -> f32 {
+    pub fn decode(&self, value: f32) -> f32 {
         match self {
             Self::Linear => value,
             Self::Srgb => srgb_decode(value),
             Self::Gamma(hundredths) => {
-                value.abs().powf(f32::from(hundredths) / 100.0).copysign(value)
+                value.abs().powf(f32::from(*hundredths) / 100.0).copysign(value)
             }
+            Self::Measured(curve) => curve.decode(value),
         }
     }
 
     /// The file's number for linear light; inverse of [`Self::decode`].
-    pub fn encode(self, linear: f32) -> f32 {
+    pub fn encode(&self, linear: f32) -> f32 {
         match self {
             Self::Linear => linear,
             Self::Srgb => srgb_encode(linear),
             Self::Gamma(hundredths) => {
-                linear.abs().powf(100.0 / f32::from(hundredths)).copysign(linear)
+                linear.abs().powf(100.0 / f32::from(*hundredths)).copysign(linear)
             }
+            Self::Measured(curve) => curve.encode(linear),
         }
+    }
+
+    /// The curve to write into a file's header: a camera that bends its tones still labels sRGB.
+    pub(super) fn label(&self) -> &Self {
+        if let Self::Measured(_) = self { &Self::Srgb } else { self }
     }
 }
 
@@ -119,7 +126,7 @@ fn bradford(from: DVec2, to: DVec2) -> Option<DMat3> {
 }
 
 /// A colour space a user can name: tone curve and primaries.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct NamedColour {
     pub transfer: Transfer,
     pub primaries: Primaries,
@@ -127,9 +134,9 @@ pub struct NamedColour {
 
 impl NamedColour {
     /// The encoding of a file whose colour space the user named.
-    pub fn encoding(self) -> Encoding {
+    pub fn encoding(&self) -> Encoding {
         Encoding {
-            transfer: self.transfer,
+            transfer: self.transfer.clone(),
             primaries: self.primaries,
             source: EncodingSource::Named,
         }
@@ -163,9 +170,9 @@ impl FromStr for NamedColour {
     fn from_str(name: &str) -> Result<Self, PhotoError> {
         let lower = name.to_ascii_lowercase();
         NAMES
-            .iter()
+            .into_iter()
             .find(|(known, ..)| *known == lower)
-            .map(|&(_, transfer, primaries)| Self { transfer, primaries })
+            .map(|(_, transfer, primaries)| Self { transfer, primaries })
             .ok_or_else(|| PhotoError::ColourName { name: name.into() })
     }
 }

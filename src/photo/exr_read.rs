@@ -51,7 +51,7 @@ pub(super) fn decode(
         let picture = choose(path, headers, options.layer.as_deref())?;
         let header = &headers[picture.part];
         check_part(path, header, &picture, options)?;
-        let encoding = match options.colour {
+        let encoding = match &options.colour {
             Some(named) => named.encoding(),
             None => encoding(path, header)?,
         };

@@ -42,7 +42,7 @@ fn rgb(profile: &ColorProfile) -> Option<(Transfer, Primaries)> {
     let curves = [&profile.red_trc, &profile.green_trc, &profile.blue_trc];
     let transfer = transfer(curves[0].as_ref()?)?;
     for curve in &curves[1..] {
-        if !follows(curve.as_ref()?, transfer) {
+        if !follows(curve.as_ref()?, &transfer) {
             return None;
         }
     }
@@ -86,10 +86,10 @@ fn transfer(curve: &ToneReprCurve) -> Option<Transfer> {
     [Some(Transfer::Linear), Some(Transfer::Srgb), power]
         .into_iter()
         .flatten()
-        .find(|&t| follows(curve, t))
+        .find(|t| follows(curve, t))
 }
 
-fn follows(curve: &ToneReprCurve, transfer: Transfer) -> bool {
+fn follows(curve: &ToneReprCurve, transfer: &Transfer) -> bool {
     let Ok(evaluator) = curve.make_linear_evaluator() else { return false };
     (0..=64).map(|i| i as f32 / 64.0).all(|v| {
         let difference = evaluator.evaluate_value(v) - transfer.decode(v);

@@ -23,7 +23,7 @@ pub(super) fn photo(path: &Path, format: Format, decoded: Decoded) -> Result<Pho
             return Err(PhotoError::UnknownColour { path: path.into(), found });
         }
     };
-    let lines = lines(&samples, encoding, width, rec709_from_file);
+    let lines = lines(&samples, &encoding, width, rec709_from_file);
 
     let nonfinite = lines
         .iter()
@@ -69,11 +69,11 @@ struct Line {
 
 fn lines(
     samples: &Samples,
-    encoding: Encoding,
+    encoding: &Encoding,
     width: usize,
     rec709_from_file: Option<DMat3>,
 ) -> Vec<Line> {
-    let Encoding { transfer, .. } = encoding;
+    let transfer = &encoding.transfer;
     match samples {
         Samples::U8 { channels, data } => {
             let curve: Vec<f32> =
@@ -132,8 +132,8 @@ fn lines(
     }
 }
 
-fn decode_float(transfer: Transfer, value: f32) -> f32 {
-    if transfer == Transfer::Linear { value } else { transfer.decode(value) }
+fn decode_float(transfer: &Transfer, value: f32) -> f32 {
+    if *transfer == Transfer::Linear { value } else { transfer.decode(value) }
 }
 
 /// How one kind of sample stands for light, for coverage, and when it is clipped.

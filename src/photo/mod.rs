@@ -20,11 +20,13 @@ mod raster;
 mod tests;
 pub mod tiff;
 pub mod tone;
+mod tone_curve;
 
 pub use self::colour::NamedColour;
 pub use self::error::PhotoError;
 pub use self::image::Image;
 pub use self::radiance_hdr::Mantissa;
+pub use self::tone_curve::ToneCurve;
 
 use std::io::Read;
 use std::path::{Path, PathBuf};
@@ -93,7 +95,7 @@ pub struct Facts {
 }
 
 /// How a file's numbers stand for light.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub enum Transfer {
     /// Numbers are proportional to light.
     Linear,
@@ -101,6 +103,8 @@ pub enum Transfer {
     Srgb,
     /// A pure power, exponent in hundredths: 220 = 2.2 (Adobe RGB).
     Gamma(u16),
+    /// The camera's own, recovered from its photographs.
+    Measured(ToneCurve),
 }
 
 /// RGB primaries and white of a file's numbers.
@@ -116,7 +120,7 @@ pub enum Primaries {
 }
 
 /// A file's colour encoding and who said so.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Encoding {
     pub transfer: Transfer,
     pub primaries: Primaries,
@@ -189,6 +193,22 @@ impl Photo {
             samples: Samples::F32 { channels: 3, data },
             linear,
         }
+    }
+
+    /// The same file read through another curve, its primaries kept.
+    ///
+    /// # Errors
+    /// None for a photo that a reader made.
+    pub fn redecoded(&self, transfer: Transfer) -> Result<Self, PhotoError> {
+        let source = EncodingSource::Named;
+        let decoded = Decoded {
+            width: self.linear.width(),
+            height: self.linear.height(),
+            samples: self.samples.clone(),
+            facts: self.facts.clone(),
+            encoding: Encoding { transfer, primaries: self.encoding.primaries, source },
+        };
+        linear::photo(&self.path, self.format, decoded)
     }
 }
 

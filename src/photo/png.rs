@@ -162,7 +162,7 @@ fn to_bytes(
     let mut encoder =
         PngEncoder::new_with_quality(&mut bytes, CompressionType::Default, FilterType::Adaptive);
     let profile = match encoding.primaries {
-        Primaries::DisplayP3 if encoding.transfer == Transfer::Srgb => {
+        Primaries::DisplayP3 if *encoding.transfer.label() == Transfer::Srgb => {
             Some(ColorProfile::new_display_p3())
         }
         Primaries::AdobeRgb if encoding.transfer == Transfer::Gamma(220) => {
@@ -190,14 +190,15 @@ pub(super) fn profile_bytes(profile: &ColorProfile) -> Option<Vec<u8>> {
 
 fn encoding_chunks(encoding: &Encoding) -> Vec<u8> {
     let mut chunks = Vec::new();
-    if encoding.transfer == Transfer::Srgb && encoding.primaries == Primaries::Rec709 {
+    let transfer = encoding.transfer.label();
+    if *transfer == Transfer::Srgb && encoding.primaries == Primaries::Rec709 {
         push_chunk(&mut chunks, b"sRGB", &[0]);
         return chunks;
     }
-    let gamma: u32 = match encoding.transfer {
+    let gamma: u32 = match transfer {
         Transfer::Linear => 100_000,
-        Transfer::Srgb => 45_455,
-        Transfer::Gamma(hundredths) => (1e7 / f64::from(hundredths)).round() as u32,
+        Transfer::Srgb | Transfer::Measured(_) => 45_455,
+        Transfer::Gamma(hundredths) => (1e7 / f64::from(*hundredths)).round() as u32,
     };
     push_chunk(&mut chunks, b"gAMA", &gamma.to_be_bytes());
     let [rx, ry, gx, gy, bx, by, wx, wy] = encoding.primaries.chromaticities();

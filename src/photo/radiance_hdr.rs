@@ -81,7 +81,7 @@ pub(super) fn decode(
             }
         }
     }
-    let encoding = match (options.colour, header.primaries) {
+    let encoding = match (&options.colour, header.primaries) {
         (Some(named), _) => named.encoding(),
         (None, Some(xy)) => Encoding {
             transfer: Transfer::Linear,

@@ -131,7 +131,7 @@ fn finish(
         DynamicImage::ImageRgba32F(p) => Samples::F32 { channels: 4, data: p.into_raw() },
         _ => return Err(PhotoError::unsupported(path, "this kind of sample", "convert it to RGB")),
     };
-    let encoding = match options.colour {
+    let encoding = match &options.colour {
         Some(named) => named.encoding(),
         None => settle(path, profile, exif_colour, &samples)?,
     };

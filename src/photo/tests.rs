@@ -192,7 +192,8 @@ fn png_and_tiff_give_back_the_samples_and_the_encoding() {
         (Transfer::Linear, Primaries::AcesCg),
     ];
     for (transfer, primaries) in encodings {
-        let encoding = Encoding { transfer, primaries, source: EncodingSource::Profile };
+        let encoding =
+            Encoding { transfer: transfer.clone(), primaries, source: EncodingSource::Profile };
         for channels in 1..=4 {
             let wide = codes(channels, 35);
             let narrow = wide.iter().map(|v| (v >> 8) as u8).collect();
@@ -211,10 +212,8 @@ fn png_and_tiff_give_back_the_samples_and_the_encoding() {
                 tiff::write(&path, &samples, 7, 5, &encoding).unwrap();
                 let photo = read(&path, &ReadOptions::default()).unwrap();
                 assert_eq!(photo.samples, samples);
-                assert_eq!(
-                    (photo.encoding.transfer, photo.encoding.primaries),
-                    (transfer, primaries)
-                );
+                assert_eq!(photo.encoding.transfer, transfer);
+                assert_eq!(photo.encoding.primaries, primaries);
             }
         }
     }

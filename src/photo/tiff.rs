@@ -55,7 +55,7 @@ pub fn write(
         }
         _ => return Err(wrong("has a number of samples that does not fit its size")),
     };
-    let profile = match (encoding.transfer, encoding.primaries) {
+    let profile = match (encoding.transfer.label(), encoding.primaries) {
         (Transfer::Srgb, Primaries::Rec709) => Some(ColorProfile::new_srgb()),
         (Transfer::Srgb, Primaries::DisplayP3) => Some(ColorProfile::new_display_p3()),
         (Transfer::Gamma(220), Primaries::AdobeRgb) => Some(ColorProfile::new_adobe_rgb()),

@@ -4,7 +4,7 @@ use glam::DVec2;
 
 use crate::conventions::Rgb;
 use crate::photo::colour::srgb_encode;
-use crate::photo::{Image, Samples};
+use crate::photo::{Image, Photo, Samples, Transfer};
 
 /// 8-bit sRGB.
 pub type Colour = [u8; 3];
@@ -20,8 +20,20 @@ pub struct Canvas {
 impl Canvas {
     /// The picture in sRGB; light above white is clipped.
     pub fn new(linear: &Image<Rgb>) -> Self {
-        let code = |l: f32| (srgb_encode(l.clamp(0.0, 1.0)) * 255.0).round() as u8;
-        let data = linear.pixels().iter().flat_map(|l| l.to_array().map(code)).collect();
+        Self::encoded(linear, |l| srgb_encode(l.max(0.0)))
+    }
+
+    /// A photograph as viewers show it: through the camera's own curve where that is known.
+    pub fn of(photo: &Photo) -> Self {
+        match &photo.encoding.transfer {
+            Transfer::Measured(curve) => Self::encoded(&photo.linear, |l| curve.encode(l)),
+            Transfer::Linear | Transfer::Srgb | Transfer::Gamma(_) => Self::new(&photo.linear),
+        }
+    }
+
+    fn encoded(linear: &Image<Rgb>, encode: impl Fn(f32) -> f32) -> Self {
+        let code = |l: f32| (encode(l).clamp(0.0, 1.0) * 255.0).round() as u8;
+        let data = linear.pixels().iter().flat_map(|l| l.to_array().map(&code)).collect();
         Self { width: linear.width(), height: linear.height(), data }
     }
 

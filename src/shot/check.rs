@@ -57,8 +57,8 @@ pub fn check(shot: &ShotFile, watch: &dyn Watch) -> Result<Findings, RunError> {
     }
     let mut stopwatch = Stopwatch::new();
     stopwatch.begin("read the shot", watch);
-    let plan = Plan::make(first).map_err(RunError::Problems)?;
-    let prepared = prepare(&plan, &mut stopwatch, watch).map_err(RunError::Problems)?;
+    let mut plan = Plan::make(first).map_err(RunError::Problems)?;
+    let prepared = prepare(&mut plan, &mut stopwatch, watch).map_err(RunError::Problems)?;
     let local = plan.support.iter().chain(&plan.local);
     Ok(Findings {
         shot: shot.path.clone(),

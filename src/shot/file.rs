@@ -40,11 +40,22 @@ pub struct PlateKeys {
     /// A picture, or with `frames` a pattern such as `plate.####.exr`.
     pub file: PathBuf,
     pub frames: Option<Frames>,
-    /// A named colour space; `None` is "auto".
-    pub colour: Option<String>,
+    pub colour: PlateColour,
     pub exposure: ExposureKeys,
     /// Plate value = this × the probe's radiance, where exposures are not known.
     pub relative_exposure: Option<f64>,
+}
+
+/// Who says how the plate's numbers stand for light.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum PlateColour {
+    /// The file, or its format's rule.
+    Auto,
+    /// The user, by the name of a colour space.
+    Named(String),
+    /// The probe's bracket, taken by the same camera, which shows its tone curve.
+    Bracket,
 }
 
 /// `[support]`: the surface the objects stand on.
@@ -275,10 +286,16 @@ fn read_plate(keys: &Keys, folder: &Path) -> Option<PlateKeys> {
     }
     let exposure = ExposureKeys::read(keys, "exposure");
     let relative_exposure = keys.positive("relative_exposure");
-    let colour = keys.text("colour").filter(|&name| name != "auto").and_then(|name| {
-        let named = name.parse::<NamedColour>();
-        named.map(|_| name.to_owned()).map_err(|e| keys.problem("colour", &e.to_string())).ok()
-    });
+    let colour = match keys.text("colour") {
+        None | Some("auto") => PlateColour::Auto,
+        Some("bracket") => PlateColour::Bracket,
+        Some(name) => {
+            if let Err(error) = name.parse::<NamedColour>() {
+                keys.problem("colour", &error.to_string());
+            }
+            PlateColour::Named(name.to_owned())
+        }
+    };
     Some(PlateKeys { file: folder.join(file?), frames, colour, exposure, relative_exposure })
 }
 

@@ -140,7 +140,7 @@ fn write_pictures(
     outputs: &mut Outputs,
 ) -> Result<Vec<Picture>, RunError> {
     let before = files.path("before", "png");
-    write::canvas(&before, report::Canvas::new(&plan.plate.linear))?;
+    write::canvas(&before, report::Canvas::of(&plan.plate))?;
     outputs.wrote(before);
     let mut pictures = Vec::new();
     for overlay in overlays::draw(plan, prepared) {

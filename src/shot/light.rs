@@ -11,12 +11,12 @@ use super::probe_keys::{
     Ball as BallKeys, Clipped, Fisheye, FisheyeMapping, PanoramaKeys, PanoramaMapping, ProbeSource,
     Suns,
 };
-use crate::bracket::{self, Radiance, Validity};
+use crate::bracket::Radiance;
 use crate::camera::Camera;
 use crate::conventions::{Rgb, luminance};
 use crate::light::clipped::{self, Stage};
 use crate::light::{Disc, LightOptions, Lights, SunSplit};
-use crate::photo::{Image, Photo};
+use crate::photo::Image;
 use crate::probe::file::{self, Layout, rotation_xyz_deg};
 use crate::probe::fisheye::{self, Projection};
 use crate::probe::resample::to_lat_long;
@@ -55,19 +55,25 @@ pub struct Unwrapped {
 /// A clipped region with less than this share of the light changes nothing that can be seen.
 const NEGLIGIBLE_SHARE: f64 = 1e-3;
 
-/// Merges the bracket and unwraps it. `ball_camera` is needed for a ball.
+/// Unwraps the merged `bracket` of a ball (which needs `ball_camera`) or fisheye, or reads a panorama.
 ///
 /// # Errors
 /// Sentences with file or key and remedy.
-pub fn unwrap(plan: &Plan, ball_camera: Option<Camera>) -> Result<Unwrapped, String> {
+pub fn unwrap(
+    plan: &Plan,
+    bracket: Option<(Radiance, Vec<Warning>)>,
+    ball_camera: Option<Camera>,
+) -> Result<Unwrapped, String> {
     let shot = plan.shot.path.display();
+    let photos = || bracket.ok_or_else(|| format!("{shot}: probe: no photographs"));
     match &plan.shot.probe.source {
         ProbeSource::Ball(keys) => {
             let camera = ball_camera.ok_or_else(|| format!("{shot}: probe.ball: no camera"))?;
-            unwrap_the_ball(plan, keys, camera).map_err(|e| format!("{shot}: probe.ball: {e}"))
+            unwrap_the_ball(plan, keys, photos()?, camera)
+                .map_err(|e| format!("{shot}: probe.ball: {e}"))
         }
         ProbeSource::Fisheye(keys) => {
-            unwrap_fisheye(plan, keys).map_err(|e| format!("{shot}: probe.fisheye: {e}"))
+            unwrap_fisheye(plan, keys, photos()?).map_err(|e| format!("{shot}: probe.fisheye: {e}"))
         }
         ProbeSource::Panorama(keys) => {
             take_panorama(keys).map_err(|e| format!("{shot}: probe.panorama: {e}"))
@@ -75,8 +81,12 @@ pub fn unwrap(plan: &Plan, ball_camera: Option<Camera>) -> Result<Unwrapped, Str
     }
 }
 
-fn unwrap_the_ball(plan: &Plan, keys: &BallKeys, camera: Camera) -> Result<Unwrapped, String> {
-    let (radiance, mut warnings) = merged(plan)?;
+fn unwrap_the_ball(
+    plan: &Plan,
+    keys: &BallKeys,
+    (radiance, mut warnings): (Radiance, Vec<Warning>),
+    camera: Camera,
+) -> Result<Unwrapped, String> {
     let hints = find::Hints { circle_px: keys.hint_px, clean_plate: clean_plate(plan, keys) };
     let found = find::find(&radiance.mean, &camera.lens, &hints).map_err(|e| e.to_string())?;
     let reflectance = DVec3::from(keys.reflectance).as_vec3();
@@ -113,8 +123,11 @@ fn clean_plate<'a>(plan: &'a Plan, keys: &BallKeys) -> Option<&'a Image<Rgb>> {
     same_view.then_some(&plan.plate.linear)
 }
 
-fn unwrap_fisheye(plan: &Plan, keys: &Fisheye) -> Result<Unwrapped, String> {
-    let (radiance, warnings) = merged(plan)?;
+fn unwrap_fisheye(
+    plan: &Plan,
+    keys: &Fisheye,
+    (radiance, warnings): (Radiance, Vec<Warning>),
+) -> Result<Unwrapped, String> {
     let (w, h) = (radiance.mean.width() as f64, radiance.mean.height() as f64);
     let [cx, cy, radius_px] =
         keys.circle_px.unwrap_or([(w - 1.0) / 2.0, (h - 1.0) / 2.0, w.min(h) / 2.0]);
@@ -148,42 +161,6 @@ fn take_panorama(keys: &PanoramaKeys) -> Result<Unwrapped, String> {
     let source = format!("panorama {}", keys.file.display());
     let report = ProbeReport { source, ..ProbeReport::default() };
     Ok(Unwrapped { panorama, ball: None, report, warnings: Vec::new() })
-}
-
-/// The probe's photographs as one picture of radiance.
-fn merged(plan: &Plan) -> Result<(Radiance, Vec<Warning>), String> {
-    if let [photo] = plan.probe_photos.as_slice()
-        && plan.exposures.values == [1.0]
-    {
-        return Ok((as_radiance(photo), Vec::new()));
-    }
-    let frames: Vec<bracket::Frame> = plan
-        .probe_photos
-        .iter()
-        .zip(&plan.exposures.values)
-        .map(|(photo, &exposure)| bracket::Frame { photo, exposure })
-        .collect();
-    // Plate and probe must be decoded alike: a curve recovered for the bracket alone would change
-    // the scale between them by more than it mends.
-    let options = bracket::MergeOptions { recover_response: false, ..Default::default() };
-    let merged = bracket::merge(&frames, &options).map_err(|error| error.to_string())?;
-    let warnings = merged
-        .warnings
-        .iter()
-        .map(|warning| Warning::new("probe bracket", warning.to_string(), "the pixels named"))
-        .collect();
-    Ok((merged.radiance, warnings))
-}
-
-/// A picture that already holds radiance; its noise is not known and counts as none.
-fn as_radiance(photo: &Photo) -> Radiance {
-    Radiance {
-        mean: photo.linear.map(|l| l.max(Rgb::ZERO)),
-        variance: photo.linear.map(|_| Rgb::ZERO),
-        validity: photo
-            .clipped
-            .map(|&clipped| if clipped { Validity::LowerBound } else { Validity::Measured }),
-    }
 }
 
 /// Everything of the scene that the judgement of clipped lights needs.

@@ -3,6 +3,7 @@
 //! folder → folder. Everything that can be wrong is found in the plan, before any work.
 
 pub mod batch;
+mod bracket;
 pub mod budget;
 pub mod calibrate;
 pub mod camera_keys;

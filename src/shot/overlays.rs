@@ -27,7 +27,7 @@ pub fn draw(plan: &Plan, prepared: &Prepared) -> Vec<Overlay> {
 }
 
 fn support(plan: &Plan, prepared: &Prepared) -> Overlay {
-    let mut canvas = Canvas::new(&plan.plate.linear);
+    let mut canvas = Canvas::of(&plan.plate);
     let camera = &prepared.camera;
     let foot = place::foot(plan);
     // One step of the axes is about a tenth of the distance: well seen at any scale.
@@ -73,7 +73,7 @@ fn pose(plan: &Plan, prepared: &Prepared) -> Option<Overlay> {
             let photo = photo::read(path, &ReadOptions::default()).ok()?;
             Canvas::new(&bright(&photo))
         }
-        None => Canvas::new(&plan.plate.linear),
+        None => Canvas::of(&plan.plate),
     };
     for seen in prepared.seen.iter().filter(|seen| seen.photo == first.photo) {
         let measured: Vec<_> = seen.sightings.iter().map(|s| s.pixel).collect();

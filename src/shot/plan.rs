@@ -10,11 +10,11 @@ use rayon::prelude::*;
 
 use super::camera_keys::{CameraKeys, CameraSource, PoseSource};
 use super::exposures::{self, Exposures, Scale};
-use super::file::{ShotFile, SupportShape};
+use super::file::{PlateColour, ShotFile, SupportShape};
 use super::pictures::{expand, readable};
 use super::place;
 use super::probe_keys::{ProbeSource, Surroundings};
-use crate::photo::{self, NamedColour, Photo, ReadOptions};
+use crate::photo::{self, NamedColour, Photo, ReadOptions, Samples};
 use crate::report::Warning;
 use crate::scene::{self, Model};
 
@@ -149,7 +149,10 @@ impl Plan {
         let mut find = Finder { problems: Vec::new(), inputs: Vec::new(), file: shot.path.clone() };
         find.inputs.push(shot.path.clone());
 
-        let colour = shot.plate.colour.as_ref().and_then(|name| name.parse().ok());
+        let colour = match &shot.plate.colour {
+            PlateColour::Named(name) => name.parse().ok(),
+            PlateColour::Auto | PlateColour::Bracket => None,
+        };
         let plate = find.photos("plate.file", &shot.plate.file, colour).pop();
         find.camera("camera", &shot.camera.source);
         find.pose("pose", &shot.pose, &shot.camera);
@@ -162,6 +165,9 @@ impl Plan {
             check_exif_camera(&shot, plate, &mut find);
         }
         let (probe_photos, exposures) = read_probe(&shot, &mut find);
+        if let (PlateColour::Bracket, Some(plate)) = (&shot.plate.colour, &plate) {
+            check_one_camera(plate, &probe_photos, &mut find);
+        }
         if let Some(Surroundings::Mesh(path)) = &shot.surroundings {
             find.model("surroundings.mesh", path, &DAffine3::IDENTITY);
         }
@@ -302,6 +308,26 @@ fn read_probe(shot: &ShotFile, find: &mut Finder) -> (Vec<Photo>, Option<Exposur
             find.problems.extend(problems.into_iter().map(|p| format!("{file}: {p}")));
             (photos, None)
         }
+    }
+}
+
+/// A curve recovered from the bracket holds for a plate of the same camera only.
+fn check_one_camera(plate: &Photo, bracket: &[Photo], find: &mut Finder) {
+    let key = "plate.colour";
+    let remedy = "name a colour space or take \"auto\" instead of \"bracket\"";
+    let eight_bit = |photo: &Photo| matches!(photo.samples, Samples::U8 { .. });
+    if bracket.len() < 2 {
+        let cause = format!("the probe has no bracket that could show a tone curve; {remedy}");
+        return find.problem(key, &plate.path, &cause);
+    }
+    if let Some(photo) = [plate].into_iter().chain(bracket).find(|photo| !eight_bit(photo)) {
+        let cause = format!("is no 8-bit file; only those have a camera's tone curve; {remedy}");
+        find.problem(key, &photo.path, &cause);
+    }
+    let camera = |photo: &Photo| (photo.facts.make.clone(), photo.facts.model.clone());
+    if let Some(other) = bracket.iter().find(|photo| camera(photo) != camera(plate)) {
+        let cause = format!("was taken by another camera than the plate; {remedy}");
+        find.problem(key, &other.path, &cause);
     }
 }
 

@@ -4,6 +4,7 @@
 
 use glam::DVec3;
 
+use super::bracket;
 use super::calibrate::{FoundLens, find_lens};
 use super::camera_keys::{Board, CameraKeys, CameraSource};
 use super::light::{self, Light, Surroundings};
@@ -41,12 +42,16 @@ pub struct Prepared {
 /// # Errors
 /// Every problem found, each with file, key and remedy.
 pub fn prepare(
-    plan: &Plan,
+    plan: &mut Plan,
     stopwatch: &mut Stopwatch,
     watch: &dyn Watch,
 ) -> Result<Prepared, Vec<String>> {
-    let shot = &plan.shot;
     let method = method(plan).map_err(|problem| vec![problem])?;
+
+    stopwatch.begin("merge the bracket", watch);
+    let bracket = bracket::merge(plan);
+    let plan: &Plan = plan;
+    let shot = &plan.shot;
 
     stopwatch.begin("calibrate the lens", watch);
     let in_file = |error: String| format!("{}: {error}", shot.path.display());
@@ -64,7 +69,10 @@ pub fn prepare(
     };
 
     stopwatch.begin("unwrap the probe", watch);
-    let unwrapped = ball_camera.and_then(|camera| light::unwrap(plan, camera));
+    let unwrapped = match (bracket, ball_camera) {
+        (Ok(bracket), Ok(camera)) => light::unwrap(plan, bracket, camera),
+        (Err(problem), _) | (_, Err(problem)) => Err(problem),
+    };
     let (found_pose, unwrapped) = match (found_pose, unwrapped) {
         (Ok(pose), Ok(unwrapped)) => (pose, unwrapped),
         (pose, unwrapped) => {

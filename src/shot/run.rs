@@ -128,7 +128,7 @@ fn run_one(
     check_folder(&files.folder)?;
     let mut stopwatch = Stopwatch::new();
     stopwatch.begin("read the shot", watch);
-    let plan = Plan::make(shot).map_err(RunError::Problems)?;
+    let mut plan = Plan::make(shot).map_err(RunError::Problems)?;
     let inputs: Vec<FileMark> = plan.inputs.iter().filter_map(|path| FileMark::of(path)).collect();
     let report_path = files.path("report", "json");
     if options.skip_existing
@@ -137,7 +137,7 @@ fn run_one(
         return Ok(Finished { report: None, complete: true, skipped: true, warnings: 0 });
     }
 
-    let prepared = prepare(&plan, &mut stopwatch, watch).map_err(RunError::Problems)?;
+    let prepared = prepare(&mut plan, &mut stopwatch, watch).map_err(RunError::Problems)?;
     for warning in &prepared.warnings {
         watch.warning(warning);
     }
