@@ -331,8 +331,9 @@ impl Grid {
         let signed = sorted[sorted.len() / 2];
         for (i, (_, worst)) in contrasts.iter().enumerate() {
             // Compare with neighbours' light: a gradient over the board is not a hidden corner.
-            let contrast = worst / self.local_contrast(&contrasts, i);
-            if !(contrast * signed.signum() * signed.signum() > 0.25) {
+            // The sign is the whole board's: a patch of turned polarity agrees with its own median.
+            let contrast = worst * signed.signum() / self.local_contrast(&contrasts, i).abs();
+            if !(contrast > 0.25) {
                 return Err(BoardError::Hidden { column: i % columns, row: i / columns, contrast });
             }
         }
@@ -450,6 +451,27 @@ pub(crate) mod tests {
     #[test]
     fn no_board_and_wrong_counts_are_errors() {
         let grey = vec![0.5; 400 * 300];
+    #[test]
+    fn a_patch_of_turned_polarity_is_not_this_board() {
+        // Right places, but black and white exchanged over the right part of the picture.
+        let board = Checkerboard { columns: 12, rows: 9 };
+        let to_pixel = |a: f64, b: f64| [60.0 + 24.0 * a, 50.0 + 24.0 * b];
+        let straight = |x: f64, y: f64| [(x - 60.0) / 24.0, (y - 50.0) / 24.0];
+        let mut luma = draw(400, 300, board, straight);
+        let pixels: Vec<[f64; 2]> = (0..board.rows)
+            .flat_map(|r| (0..board.columns).map(move |c| to_pixel(c as f64, r as f64)))
+            .collect();
+        let grid = Grid { board, pixels };
+        assert!(grid.check_saddles(&Picture::new(400, 300, &luma).unwrap()).is_ok());
+        for row in luma.chunks_mut(400) {
+            // From half a square right of corner column 7 on: five of twelve columns.
+            row[240..].iter_mut().for_each(|l| *l = 0.9 - *l);
+        }
+        let turned = Picture::new(400, 300, &luma).unwrap();
+        let error = grid.check_saddles(&turned).map(|s| s.signed).unwrap_err();
+        assert!(matches!(error, BoardError::Hidden { .. }), "{error}");
+    }
+
         let picture = Picture::new(400, 300, &grey).unwrap();
         assert!(matches!(find_checkerboard(&picture, BOARD), Err(BoardError::NotFound { .. })));
         let (luma, _) = turned(0.2);
