@@ -21,6 +21,13 @@ pub fn opencv_yaml(text: &str) -> Result<Camera, String> {
     let fisheye = text.contains("fisheye_model: 1") || text.contains("equidistant");
     let distortion = match (fisheye, d.as_slice()) {
         (true, &[k1, k2, k3, k4]) => Distortion::KannalaBrandt { k1, k2, k3, k4 },
+        (true, other) => {
+            return Err(format!(
+                "{} distortion coefficients of a fisheye, which has 4 (0 0 0 0 is the pure \
+                 equidistant lens); write those, or take the fisheye mark out of the file",
+                other.len()
+            ));
+        }
         (_, []) => Distortion::None,
         (false, &[k1, k2, p1, p2]) => Distortion::BrownConrady { k1, k2, p1, p2, k3: 0.0 },
         (false, &[k1, k2, p1, p2, k3]) => Distortion::BrownConrady { k1, k2, p1, p2, k3 },
@@ -77,21 +84,26 @@ fn matrix(text: &str, names: &[&str]) -> Result<Option<Vec<f64>>, String> {
     Ok(None)
 }
 
-/// The first camera of COLMAP's `cameras.txt`: `ID MODEL WIDTH HEIGHT PARAMS…`.
+/// The camera of COLMAP's `cameras.txt`: `ID MODEL WIDTH HEIGHT PARAMS…`.
 ///
-/// COLMAP counts pixels from the corner: half a pixel is taken off the principal point.
+/// Of several cameras none is chosen: that is an error which names them. COLMAP counts pixels from the corner: half a pixel is taken off the principal point.
 pub fn colmap(text: &str) -> Result<Camera, String> {
     let expected = "expected camera.json, OpenCV YAML, or COLMAP's `ID MODEL WIDTH HEIGHT PARAMS`";
-    let line = text
-        .lines()
-        .map(str::trim)
-        .find(|l| !l.is_empty() && !l.starts_with('#'))
-        .ok_or_else(|| format!("nothing in it; {expected}"))?;
+    let mut lines = text.lines().map(str::trim).filter(|l| !l.is_empty() && !l.starts_with('#'));
+    let line = lines.next().ok_or_else(|| format!("nothing in it; {expected}"))?;
     let mut words = line.split_whitespace();
     let mut word = || words.next().ok_or_else(|| expected.to_owned());
-    let (_, model) = (word()?, word()?.to_owned());
+    let (id, model) = (word()?, word()?.to_owned());
     let side = |w: &str| w.parse::<usize>().map_err(|_| expected.to_owned());
     let (width, height) = (side(word()?)?, side(word()?)?);
+    let mut others = lines.filter_map(|line| line.split_whitespace().next());
+    if let Some(second) = others.next() {
+        return Err(format!(
+            "{} cameras ({id}, {second}, …); keep the line of the one that took the picture in a \
+             file of its own",
+            2 + others.count()
+        ));
+    }
     let p: Vec<f64> = words
         .map(|w| w.parse().map_err(|_| format!("\"{w}\" is no number; {expected}")))
         .collect::<Result<_, String>>()?;
@@ -156,6 +168,26 @@ mod tests {
         assert_eq!((camera.lens.cx, camera.lens.cy), (399.5, 299.5));
         assert!(colmap("1 OPENCV 800 600 700").is_err());
         assert!(colmap("hello").is_err() && colmap("").is_err());
+    }
+
+    #[test]
+    fn of_several_colmap_cameras_none_is_guessed() {
+        let text = "# cameras\n1 PINHOLE 800 600 700 701 400 300\n7 PINHOLE 80 60 70 71 40 30\n";
+        let error = colmap(text).unwrap_err();
+        assert!(error.contains("2 cameras (1, 7"), "{error}");
+    }
+
+    #[test]
+    fn a_fisheye_has_four_coefficients_and_never_becomes_a_pinhole() {
+        let fisheye = format!("{YAML}fisheye_model: 1\n");
+        let error = opencv_yaml(&fisheye).unwrap_err();
+        assert!(error.contains("5 distortion coefficients of a fisheye, which has 4"), "{error}");
+        let without = fisheye.replace("distortion_coefficients", "coefficients_of_another_name");
+        let error = opencv_yaml(&without).unwrap_err();
+        assert!(error.starts_with("0 distortion coefficients of a fisheye"), "{error}");
+        let four = fisheye.replace(", 2.5 ]", " ]");
+        let lens = opencv_yaml(&four).unwrap().lens;
+        assert!(matches!(lens.distortion, Distortion::KannalaBrandt { k4: -4e-4, .. }));
     }
 
     #[test]
