@@ -92,13 +92,9 @@ fn a_pinhole_is_usds_camera() {
     let camera = Camera { width, height, lens: Lens::pinhole(focal, width, height), pose };
     // A USD matrix is the transpose of ours: translation in the last row.
     let usd = DMat4::from(camera.pose.world_from_camera).transpose();
-    assert_eq!(
-        usd.row(3),
-        DVec4::new(0.0, 0.0, 0.0, 1.0)
-            .with_x(usd.x_axis.w)
-            .with_y(usd.y_axis.w)
-            .with_z(usd.z_axis.w)
-    );
+    assert_eq!(usd.row(3), DVec4::new(1.0, 2.0, 3.0, 1.0));
+    let forward = DVec3::new(0.2, 0.1, 0.0) - DVec3::new(1.0, 2.0, 3.0);
+    assert!((usd.row(2).truncate() + forward.normalize()).length() < 1e-12, "third row: +Z, back");
     for offset in points() {
         let world = camera.pose.world_from_camera.transform_point3(offset);
         let row = DVec4::new(world.x, world.y, world.z, 1.0);

@@ -301,14 +301,19 @@ mod tests {
         assert!(spoil("\"lens_covariance\": [", "\"lens_covariance\": [1,").contains("81"));
         assert!(spoil("\"platelight_camera\": 1", "\"platelight_camera\": 7").contains("version"));
         assert!(spoil("\"fx\"", "\"focal\"").contains("focal"));
-        assert!(
-            spoil(
-                "\"world_from_camera\": [\n    [",
-                "\"world_from_camera\": [\n    [1e3, 0, 0, 0], ["
-            )
-            .len()
-                > 5
-        );
+        let rows = "\"world_from_camera\": [\n    [";
+        assert!(spoil(rows, &format!("{rows}1e3, 0, 0, 0], [")).contains("trailing"));
+        let start = good.find(rows).expect("the pose was written");
+        let end = start + good[start..].find("]\n  ]").expect("the pose ends") + 5;
+        for matrix in [
+            "[2, 0, 0, 0], [0, 2, 0, 0], [0, 0, 2, 0]",
+            "[-1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]",
+            "[1, 0.1, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]",
+        ] {
+            let pose = format!("\"world_from_camera\": [{matrix}]");
+            let error = parse(&[&good[..start], &pose, &good[end..]].concat()).unwrap_err();
+            assert!(error.contains("no rotation"), "{matrix}: {error}");
+        }
         for cut in (0..good.len()).step_by(37).filter(|&c| good.is_char_boundary(c)) {
             assert!(parse(&good[..cut]).is_err());
         }
