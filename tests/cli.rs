@@ -42,6 +42,22 @@ fn commands() -> Vec<String> {
 }
 
 #[test]
+fn a_reader_that_went_away_is_no_crash() {
+    let program = assert_cmd::cargo::cargo_bin("platelight");
+    let mut child = std::process::Command::new(program)
+        .args(["--json", "check", "no/such/shot"])
+        .stdout(std::process::Stdio::piped())
+        .stderr(std::process::Stdio::piped())
+        .spawn()
+        .expect("the program starts");
+    drop(child.stdout.take());
+    let output = child.wait_with_output().expect("the program ends");
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(2), "{said}");
+    assert!(said.contains("no/such/shot") && !said.contains("panicked"), "{said}");
+}
+
+#[test]
 fn every_command_explains_itself_with_an_example() {
     let commands = commands();
     for expected in ["run", "check", "batch"] {

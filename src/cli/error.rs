@@ -27,10 +27,10 @@ impl CliError {
     /// Prints the problems to stderr, and with `json` also as `{"errors": […]}` to stdout.
     pub fn print(&self, json: bool) {
         for problem in &self.problems {
-            eprintln!("error: {problem}");
+            super::say_line(&format!("error: {problem}"));
         }
         if json {
-            println!("{}", serde_json::json!({ "errors": self.problems }));
+            super::print_line(&serde_json::json!({ "errors": self.problems }).to_string());
         }
     }
 }

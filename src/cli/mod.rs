@@ -21,6 +21,7 @@ mod terminal;
 pub use error::CliError;
 pub use progress::progress_bar;
 
+use std::io::Write;
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
@@ -75,16 +76,16 @@ impl Global {
             // Serialising plain structs to memory fails only for maps with keys that are no strings.
             let json = serde_json::to_string_pretty(value)
                 .unwrap_or_else(|e| serde_json::json!({ "errors": [e.to_string()] }).to_string());
-            println!("{json}");
+            print_line(&json);
         } else if !self.quiet {
-            println!("{}", text());
+            print_line(&text());
         }
     }
 
     /// Says something on the way, on stderr, unless quiet.
     pub fn say(&self, message: &str) {
         if !self.quiet {
-            eprintln!("{message}");
+            say_line(message);
         }
     }
 
@@ -92,6 +93,24 @@ impl Global {
     pub fn warn(&self, message: &str) {
         self.say(&format!("warning: {message}"));
     }
+}
+
+/// Prints a line on stdout.
+///
+/// Not `println!`, which panics where nobody reads on (`platelight … --json | head -1`): what is not
+/// read is not missed, and the files that were to be written are.
+pub(crate) fn print_line(line: &str) {
+    let mut stdout = std::io::stdout().lock();
+    if let Err(error) = writeln!(stdout, "{line}").and_then(|()| stdout.flush())
+        && error.kind() != std::io::ErrorKind::BrokenPipe
+    {
+        say_line(&format!("error: standard output: {error}; the result was not printed"));
+    }
+}
+
+/// Prints a line on stderr, if anybody still reads there; who does not cannot be told.
+pub(crate) fn say_line(line: &str) {
+    let _ = writeln!(std::io::stderr().lock(), "{line}");
 }
 
 /// The commands; each has its file.
