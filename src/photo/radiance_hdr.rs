@@ -63,7 +63,7 @@ pub(super) fn decode(
     let (header, pixels) = header(path, bytes)?;
     let (width, height) = (header.width, header.height);
     check_size(path, (width as u64, height as u64), 12, options.max_bytes)?;
-    // A scanline needs at least four bytes for every 127 pixels of each channel, or it is cut.
+    // Even a row of one run takes four bytes: a height that the file cannot hold asks for nothing.
     if pixels.len() / 4 < height {
         return Err(PhotoError::damaged(path, FORMAT, "the pixels are cut off"));
     }
@@ -264,11 +264,12 @@ pub fn write(path: &Path, linear: &Image<Rgb>, mantissa: Mantissa) -> Result<(),
 
 /// RGBE of a colour, negative channels as 0; `None` for what the format cannot hold.
 fn encode(l: Rgb, mantissa: Mantissa) -> Option<[u8; 4]> {
-    let l = l.as_dvec3().max(glam::DVec3::ZERO);
-    let largest = l.max_element();
-    if !largest.is_finite() || !l.is_finite() {
+    // First: max would turn NaN into 0 and −∞ with it.
+    if !l.is_finite() {
         return None;
     }
+    let l = l.as_dvec3().max(glam::DVec3::ZERO);
+    let largest = l.max_element();
     if largest < 1e-37 {
         return Some([0; 4]);
     }
@@ -288,4 +289,22 @@ fn encode(l: Rgb, mantissa: Mantissa) -> Option<[u8; 4]> {
     let e = u8::try_from(exponent + 128).ok().filter(|&e| e > 0)?;
     let [r, g, b] = mantissas.map(|m| m as u8);
     Some([r, g, b, e])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_rgbe_cannot_hold_is_refused_and_never_written_as_black() {
+        for l in [
+            Rgb::NAN,
+            Rgb::new(1.0, f32::NAN, 1.0),
+            Rgb::new(f32::INFINITY, 0.0, 0.0),
+            Rgb::new(f32::NEG_INFINITY, 0.0, 0.0),
+        ] {
+            assert_eq!(encode(l, Mantissa::Truncated), None, "{l}");
+        }
+        assert_eq!(encode(Rgb::new(-1.0, 0.0, 0.0), Mantissa::Truncated), Some([0; 4]));
+    }
 }
