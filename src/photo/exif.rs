@@ -35,9 +35,12 @@ fn facts(exif: &Exif) -> Facts {
     Facts {
         exposure_s: number(exif, Tag::ExposureTime).or_else(|| apex_time(exif)),
         f_number: number(exif, Tag::FNumber).or_else(|| apex_aperture(exif)),
+        // 65535 fills the tag and says that the number is in one of the others (EXIF 2.3).
         iso: number(exif, Tag::PhotographicSensitivity)
+            .filter(|&iso| iso < 65535.0)
             .or_else(|| number(exif, Tag::ISOSpeed))
-            .or_else(|| number(exif, Tag::RecommendedExposureIndex)),
+            .or_else(|| number(exif, Tag::RecommendedExposureIndex))
+            .or_else(|| number(exif, Tag::StandardOutputSensitivity)),
         focal_mm: number(exif, Tag::FocalLength),
         focal_35mm: number(exif, Tag::FocalLengthIn35mmFilm),
         orientation: uint(exif, Tag::Orientation)

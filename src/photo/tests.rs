@@ -327,6 +327,24 @@ fn orientation_turns_samples_and_light_upright() {
 }
 
 #[test]
+fn iso_beyond_its_tag_is_read_from_the_larger_ones() {
+    let raw = [128u8; 64 * 3];
+    let mut block = exif_block(1);
+    // PhotographicSensitivity is the third entry of the second directory.
+    let iso = 38 + 2 + 2 * 12;
+    block[iso + 8..iso + 12].copy_from_slice(&65_535u32.to_le_bytes());
+    let photo = open("a.jpg", &jpeg(&raw, 8, 8, &block)).unwrap();
+    assert_eq!(photo.facts.iso, None, "65535 says only: see the other tags");
+    // The f-number's place is taken by RecommendedExposureIndex, LONG.
+    let at = iso - 12;
+    block[at..at + 2].copy_from_slice(&0x8832u16.to_le_bytes());
+    block[at + 2..at + 4].copy_from_slice(&4u16.to_le_bytes());
+    block[at + 8..at + 12].copy_from_slice(&102_400u32.to_le_bytes());
+    let photo = open("a.jpg", &jpeg(&raw, 8, 8, &block)).unwrap();
+    assert_eq!(photo.facts.iso, Some(102_400.0));
+}
+
+#[test]
 fn hostile_exif_gives_a_picture_without_facts() {
     let raw = [128u8; 64 * 3];
     let good = exif_block(6);
