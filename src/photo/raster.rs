@@ -33,15 +33,19 @@ pub(super) fn decode_png(
             PngDecoder::with_limits(Cursor::new(bytes), limits(options)).map_err(failed)?;
         let exif = decoder.exif_metadata().map_err(failed)?;
         // cICP stands above ICC, ICC above sRGB, gAMA and cHRM (PNG third edition, 4.3).
-        let profile = match png::cicp_encoding(path, bytes)? {
-            Some(encoding) => Some(encoding),
-            None => match decoder.icc_profile().map_err(failed)? {
-                Some(icc) if options.colour.is_none() => Some(icc::encoding(path, &icc)?),
-                _ => png::chunk_encoding(
-                    bytes,
-                    decoder.color_type().bits_per_pixel()
-                        / u16::from(decoder.color_type().channel_count()),
-                ),
+        // What they say is not looked at, and need not be understood, where the user names a space.
+        let profile = match options.colour {
+            Some(_) => None,
+            None => match png::cicp_encoding(path, bytes)? {
+                Some(encoding) => Some(encoding),
+                None => match decoder.icc_profile().map_err(failed)? {
+                    Some(icc) => Some(icc::encoding(path, &icc)?),
+                    None => png::chunk_encoding(
+                        bytes,
+                        decoder.color_type().bits_per_pixel()
+                            / u16::from(decoder.color_type().channel_count()),
+                    ),
+                },
             },
         };
         finish(path, options, decoder, exif, profile, "PNG")

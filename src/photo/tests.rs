@@ -345,6 +345,19 @@ fn iso_beyond_its_tag_is_read_from_the_larger_ones() {
 }
 
 #[test]
+fn a_named_colour_stands_above_chunks_that_are_not_understood() {
+    // cICP of HDR10: BT.2020 with PQ.
+    let mut bytes = plain_png(::image::ExtendedColorType::Rgb8, &[128; 3], 1, 1);
+    let chunk = [0, 0, 0, 4, b'c', b'I', b'C', b'P', 9, 16, 0, 1, 0, 0, 0, 0];
+    bytes.splice(33..33, chunk);
+    assert!(matches!(open("a.png", &bytes), Err(PhotoError::UnknownColour { .. })));
+    let colour = colour::named("display-p3").unwrap();
+    let options = ReadOptions { colour, ..ReadOptions::default() };
+    let photo = read_bytes(Path::new("a.png"), &bytes, &options).unwrap();
+    assert_eq!(photo.encoding.primaries, Primaries::DisplayP3);
+}
+
+#[test]
 fn hostile_exif_gives_a_picture_without_facts() {
     let raw = [128u8; 64 * 3];
     let good = exif_block(6);
