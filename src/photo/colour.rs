@@ -56,6 +56,8 @@ impl Transfer {
 }
 
 const D65: DVec2 = DVec2::new(0.3127, 0.3290);
+/// White of ICC's profile connection space: X, Y, Z = 0.9642, 1, 0.8249.
+const D50: DVec2 = DVec2::new(0.345_702_9, 0.358_538_7);
 
 impl Primaries {
     /// CIE xy of red, green, blue and white.
@@ -83,6 +85,15 @@ impl Primaries {
         let adapt =
             if white.distance(D65) < 1e-5 { DMat3::IDENTITY } else { bradford(white, D65)? };
         let matrix = rec709.inverse() * adapt * xyz_from_rgb(this)?;
+        matrix.is_finite().then_some(matrix)
+    }
+
+    /// Matrix from linear RGB to XYZ adapted to D50 (Bradford), as ICC profiles hold it; `None` where
+    /// the chromaticities do not span a colour space.
+    pub(super) fn xyz_d50_from_rgb(self) -> Option<DMat3> {
+        let this = self.chromaticities();
+        let white = DVec2::new(this[6].into(), this[7].into());
+        let matrix = bradford(white, D50)? * xyz_from_rgb(this)?;
         matrix.is_finite().then_some(matrix)
     }
 

@@ -38,6 +38,44 @@ pub(super) fn encoding(path: &Path, icc: &[u8]) -> Result<Encoding, PhotoError> 
     Ok(Encoding { transfer, primaries, source: EncodingSource::Profile })
 }
 
+/// A profile that says what an encoding is; `None` where its chromaticities span no colour space.
+///
+/// A camera's measured curve is labelled sRGB, as the camera itself does.
+pub(super) fn profile(encoding: &Encoding) -> Option<ColorProfile> {
+    let transfer = encoding.transfer.label();
+    // Where the standard's own digits exist they are taken.
+    match (transfer, encoding.primaries) {
+        (Transfer::Srgb, Primaries::Rec709) => return Some(ColorProfile::new_srgb()),
+        (Transfer::Srgb, Primaries::DisplayP3) => return Some(ColorProfile::new_display_p3()),
+        (Transfer::Gamma(220), Primaries::AdobeRgb) => return Some(ColorProfile::new_adobe_rgb()),
+        (Transfer::Linear, Primaries::AcesCg) => return Some(ColorProfile::new_aces_cg_linear()),
+        _ => {}
+    }
+    let mut profile = ColorProfile::new_srgb();
+    let curve = match transfer {
+        Transfer::Srgb | Transfer::Measured(_) => profile.red_trc.clone(),
+        // ICC.1, 10.6: no entry is the identity, one entry an exponent in 256ths.
+        Transfer::Linear => Some(ToneReprCurve::Lut(vec![])),
+        Transfer::Gamma(hundredths) => {
+            let in_256ths = (f64::from(*hundredths) * 2.56).round().min(f64::from(u16::MAX));
+            Some(ToneReprCurve::Lut(vec![in_256ths as u16]))
+        }
+    };
+    (profile.red_trc, profile.green_trc, profile.blue_trc) = (curve.clone(), curve.clone(), curve);
+    let m = encoding.primaries.xyz_d50_from_rgb()?;
+    let colorant = |v: DVec3| moxcms::Xyzd { x: v.x, y: v.y, z: v.z };
+    profile.red_colorant = colorant(m.x_axis);
+    profile.green_colorant = colorant(m.y_axis);
+    profile.blue_colorant = colorant(m.z_axis);
+    // The base's name and code points are not this encoding's.
+    profile.cicp = None;
+    let name = format!("{:?}, {transfer:?}", encoding.primaries);
+    let (language, country) = ("en".to_string(), "US".to_string());
+    let name = moxcms::LocalizableString::new(language, country, name);
+    profile.description = Some(ProfileText::Localizable(vec![name]));
+    Some(profile)
+}
+
 fn rgb(profile: &ColorProfile) -> Option<(Transfer, Primaries)> {
     let curves = [&profile.red_trc, &profile.green_trc, &profile.blue_trc];
     let transfer = transfer(curves[0].as_ref()?)?;
@@ -91,7 +129,8 @@ fn transfer(curve: &ToneReprCurve) -> Option<Transfer> {
 
 fn follows(curve: &ToneReprCurve, transfer: &Transfer) -> bool {
     let Ok(evaluator) = curve.make_linear_evaluator() else { return false };
-    (0..=64).map(|i| i as f32 / 64.0).all(|v| {
+    // Not at 0: the evaluator's power of zero is no zero for some exponents (1.8 among them).
+    (1..=64).map(|i| i as f32 / 64.0).all(|v| {
         let difference = evaluator.evaluate_value(v) - transfer.decode(v);
         difference.abs() <= CURVE_TOLERANCE
     })

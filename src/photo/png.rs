@@ -8,7 +8,7 @@ use image::{ExtendedColorType, ImageEncoder};
 use moxcms::ColorProfile;
 
 use super::{
-    Encoding, EncodingSource, Image, PhotoError, Primaries, Samples, Transfer, atomic, colour,
+    Encoding, EncodingSource, Image, PhotoError, Primaries, Samples, Transfer, atomic, colour, icc,
 };
 use crate::conventions::Rgb;
 
@@ -91,8 +91,8 @@ pub(super) fn chunk_encoding(bytes: &[u8], bits: u16) -> Option<Encoding> {
 
 /// Writes 8- or 16-bit samples as they are; the file appears whole or not at all.
 ///
-/// The encoding goes into the file: an sRGB chunk, an ICC profile for Display P3 and Adobe RGB, gAMA
-/// and cHRM for the rest. Same samples, same bytes.
+/// The encoding goes into the file: an sRGB chunk, or an ICC profile for everything else. Same
+/// samples, same bytes.
 ///
 /// # Errors
 /// Float samples (PNG has none), a wrong number of samples, or the disk.
@@ -161,21 +161,17 @@ fn to_bytes(
     let mut bytes = Vec::new();
     let mut encoder =
         PngEncoder::new_with_quality(&mut bytes, CompressionType::Default, FilterType::Adaptive);
-    let profile = match encoding.primaries {
-        Primaries::DisplayP3 if *encoding.transfer.label() == Transfer::Srgb => {
-            Some(ColorProfile::new_display_p3())
-        }
-        Primaries::AdobeRgb if encoding.transfer == Transfer::Gamma(220) => {
-            Some(ColorProfile::new_adobe_rgb())
-        }
-        _ => None,
-    };
-    if let Some(icc) = profile.as_ref().and_then(profile_bytes) {
+    let is_srgb =
+        *encoding.transfer.label() == Transfer::Srgb && encoding.primaries == Primaries::Rec709;
+    // gAMA and cHRM would do for some, but 0.45455 means sRGB to one reader and 2.2 to the next.
+    if !is_srgb {
+        let icc = icc::profile(encoding).as_ref().and_then(profile_bytes);
+        let icc = icc.ok_or_else(|| wrong("the chromaticities do not span a colour space"))?;
         encoder.set_icc_profile(icc).map_err(|e| wrong(&e.to_string()))?;
     }
     encoder.write_image(&raw, w, h, kind).map_err(|e| wrong(&e.to_string()))?;
-    if profile.is_none() {
-        insert_after_header(&mut bytes, &encoding_chunks(encoding));
+    if is_srgb {
+        insert_after_header(&mut bytes, b"sRGB", &[0]);
     }
     Ok(bytes)
 }
@@ -186,36 +182,6 @@ pub(super) fn profile_bytes(profile: &ColorProfile) -> Option<Vec<u8>> {
     // ICC.1 table 17: creation date and time at 24…36; the same picture is the same bytes.
     bytes.get_mut(24..36)?.copy_from_slice(&[7, 234, 0, 1, 0, 1, 0, 0, 0, 0, 0, 0]);
     Some(bytes)
-}
-
-fn encoding_chunks(encoding: &Encoding) -> Vec<u8> {
-    let mut chunks = Vec::new();
-    let transfer = encoding.transfer.label();
-    if *transfer == Transfer::Srgb && encoding.primaries == Primaries::Rec709 {
-        push_chunk(&mut chunks, b"sRGB", &[0]);
-        return chunks;
-    }
-    let gamma: u32 = match transfer {
-        Transfer::Linear => 100_000,
-        Transfer::Srgb | Transfer::Measured(_) => 45_455,
-        Transfer::Gamma(hundredths) => (1e7 / f64::from(*hundredths)).round() as u32,
-    };
-    push_chunk(&mut chunks, b"gAMA", &gamma.to_be_bytes());
-    let [rx, ry, gx, gy, bx, by, wx, wy] = encoding.primaries.chromaticities();
-    // cHRM is unsigned; AP0's blue has y < 0 and is written as 0.
-    let xy = [wx, wy, rx, ry, gx, gy, bx, by]
-        .map(|v| ((f64::from(v) * 1e5).round().max(0.0) as u32).to_be_bytes());
-    push_chunk(&mut chunks, b"cHRM", xy.as_flattened());
-    chunks
-}
-
-fn push_chunk(target: &mut Vec<u8>, name: &[u8; 4], content: &[u8]) {
-    target.extend((content.len() as u32).to_be_bytes());
-    let start = target.len();
-    target.extend(name);
-    target.extend(content);
-    let crc = crc32(&target[start..]);
-    target.extend(crc.to_be_bytes());
 }
 
 /// CRC-32 of PNG (ISO 3309), bit by bit: a few dozen bytes are all it sees.
@@ -230,7 +196,11 @@ fn crc32(bytes: &[u8]) -> u32 {
     !crc
 }
 
-fn insert_after_header(bytes: &mut Vec<u8>, chunks: &[u8]) {
+/// Puts a chunk between the header and what follows it.
+fn insert_after_header(bytes: &mut Vec<u8>, name: &[u8; 4], content: &[u8]) {
     const HEADER_END: usize = SIGNATURE_BYTES + 12 + 13;
-    bytes.splice(HEADER_END..HEADER_END, chunks.iter().copied());
+    let named = [name.as_slice(), content].concat();
+    let length = (content.len() as u32).to_be_bytes();
+    let chunk = [&length, named.as_slice(), &crc32(&named).to_be_bytes()].concat();
+    bytes.splice(HEADER_END..HEADER_END, chunk);
 }

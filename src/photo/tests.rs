@@ -190,6 +190,14 @@ fn png_and_tiff_give_back_the_samples_and_the_encoding() {
         (Transfer::Srgb, Primaries::DisplayP3),
         (Transfer::Gamma(220), Primaries::AdobeRgb),
         (Transfer::Linear, Primaries::AcesCg),
+        // Everything else a user can name, and what a camera or an editor may write.
+        (Transfer::Gamma(220), Primaries::Rec709),
+        (Transfer::Linear, Primaries::Rec709),
+        (Transfer::Linear, Primaries::DisplayP3),
+        (Transfer::Linear, Primaries::Aces2065),
+        (Transfer::Srgb, Primaries::AdobeRgb),
+        (Transfer::Srgb, Primaries::AcesCg),
+        (Transfer::Gamma(180), Primaries::DisplayP3),
     ];
     for (transfer, primaries) in encodings {
         let encoding =

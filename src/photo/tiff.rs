@@ -5,13 +5,12 @@ use std::path::Path;
 
 use image::codecs::tiff::TiffEncoder;
 use image::{ExtendedColorType, ImageEncoder};
-use moxcms::ColorProfile;
 
-use super::{Encoding, PhotoError, Primaries, Samples, Transfer, atomic, png};
+use super::{Encoding, PhotoError, Primaries, Samples, Transfer, atomic, icc, png};
 
 /// Writes 8-, 16-bit or float samples as they are; the file appears whole or not at all.
 ///
-/// An ICC profile is embedded for sRGB, Display P3, Adobe RGB and ACEScg.
+/// An ICC profile says what they mean; only linear Rec.709 floats need none.
 ///
 /// # Errors
 /// Grey with alpha and half floats (this writer has none), a wrong number of samples, or the disk.
@@ -55,13 +54,11 @@ pub fn write(
         }
         _ => return Err(wrong("has a number of samples that does not fit its size")),
     };
-    let profile = match (encoding.transfer.label(), encoding.primaries) {
-        (Transfer::Srgb, Primaries::Rec709) => Some(ColorProfile::new_srgb()),
-        (Transfer::Srgb, Primaries::DisplayP3) => Some(ColorProfile::new_display_p3()),
-        (Transfer::Gamma(220), Primaries::AdobeRgb) => Some(ColorProfile::new_adobe_rgb()),
-        (Transfer::Linear, Primaries::AcesCg) => Some(ColorProfile::new_aces_cg_linear()),
-        _ => None,
-    };
+    // Floats without a profile are linear Rec.709 to every reader.
+    let plain = encoding.transfer == Transfer::Linear
+        && encoding.primaries == Primaries::Rec709
+        && matches!(samples, Samples::F32 { .. });
+    let profile = if plain { None } else { icc::profile(encoding) };
     let mut file = Cursor::new(Vec::new());
     let mut encoder = TiffEncoder::new(&mut file);
     if let Some(icc) = profile.as_ref().and_then(png::profile_bytes) {
