@@ -55,14 +55,18 @@ pub(super) fn guarded<T>(
         .unwrap_or_else(|_| Err(PhotoError::damaged(path, format, "the decoder gave up on it")))
 }
 
-/// Refuses a picture whose sides or samples are larger than the reader is prepared to hold.
+/// What a pixel takes beside its own samples: linear light and whether it is clipped.
+const DECODED_BYTES: u64 = (size_of::<crate::conventions::Rgb>() + size_of::<bool>()) as u64;
+
+/// Refuses a picture that would need more memory than the limit, its linear light included, or whose
+/// sides are too long.
 pub(super) fn check_size(
     path: &Path,
     (width, height): (u64, u64),
     bytes_per_pixel: u64,
     limit: u64,
 ) -> Result<(), PhotoError> {
-    let bytes = width.saturating_mul(height).saturating_mul(bytes_per_pixel);
+    let bytes = width.saturating_mul(height).saturating_mul(bytes_per_pixel + DECODED_BYTES);
     let what = || format!("a picture of {width} × {height} px");
     if width == 0 || height == 0 {
         return Err(PhotoError::Picture { path: path.into(), cause: "has no pixels".into() });

@@ -5,7 +5,7 @@ use std::path::Path;
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 
-use super::{Decoded, Encoding, Format, Image, NonFinite, Photo, PhotoError, Samples, Transfer};
+use super::{Decoded, Format, Image, NonFinite, Photo, PhotoError, Samples, Transfer};
 use crate::conventions::Rgb;
 
 /// Codes at or above this are clipped in 8 bit: JPEG and sensor noise spread the clip level.
@@ -23,31 +23,24 @@ pub(super) fn photo(path: &Path, format: Format, decoded: Decoded) -> Result<Pho
             return Err(PhotoError::UnknownColour { path: path.into(), found });
         }
     };
-    let lines = lines(&samples, &encoding, width, rec709_from_file);
-
-    let nonfinite = lines
-        .iter()
-        .filter_map(|l| l.first_nonfinite)
-        .next()
-        .map(|first| NonFinite { pixels: lines.iter().map(|l| l.nonfinite).sum(), first });
-    let has_alpha = samples.channels().is_multiple_of(2);
-    let mut linear = Vec::with_capacity(width * height);
-    let mut alpha = Vec::with_capacity(if has_alpha { width * height } else { 0 });
-    let mut clipped = Vec::with_capacity(width * height);
-    for line in lines {
-        linear.extend(line.linear);
-        alpha.extend(line.alpha);
-        clipped.extend(line.clipped);
-    }
     let wrong_count = || PhotoError::damaged(path, "picture", "wrong number of samples");
+    let pixels = width.checked_mul(height).filter(|&n| n > 0).ok_or_else(wrong_count)?;
+    if pixels.checked_mul(samples.channels()) != Some(samples.len()) {
+        return Err(wrong_count());
+    }
+    // Filled in place: rows collected first would hold every pixel twice.
+    let mut linear = vec![Rgb::ZERO; pixels];
+    let mut clipped = vec![false; pixels];
+    let rows = Rows { width, rec709_from_file, linear: &mut linear, clipped: &mut clipped };
+    let (nonfinite, alpha) = decode(&samples, &encoding.transfer, rows);
+    let nonfinite = nonfinite.first.map(|first| NonFinite { pixels: nonfinite.pixels, first });
     Ok(Photo {
         path: path.into(),
         format,
         linear: Image::from_pixels(width, height, linear).ok_or_else(wrong_count)?,
-        alpha: if has_alpha {
-            Some(Image::from_pixels(width, height, alpha).ok_or_else(wrong_count)?)
-        } else {
-            None
+        alpha: match alpha {
+            Some(alpha) => Some(Image::from_pixels(width, height, alpha).ok_or_else(wrong_count)?),
+            None => None,
         },
         clipped: Image::from_pixels(width, height, clipped).ok_or_else(wrong_count)?,
         nonfinite,
@@ -57,32 +50,37 @@ pub(super) fn photo(path: &Path, format: Format, decoded: Decoded) -> Result<Pho
     })
 }
 
-/// One row of the picture.
-struct Line {
-    linear: Vec<Rgb>,
-    alpha: Vec<f32>,
-    clipped: Vec<bool>,
-    /// Pixels with a NaN or infinite sample, and the first of them.
-    nonfinite: u64,
-    first_nonfinite: Option<(usize, usize)>,
-}
-
-fn lines(
-    samples: &Samples,
-    encoding: &Encoding,
+/// Where the decoded picture goes, row by row.
+struct Rows<'a> {
     width: usize,
     rec709_from_file: Option<DMat3>,
-) -> Vec<Line> {
-    let transfer = &encoding.transfer;
+    linear: &'a mut [Rgb],
+    clipped: &'a mut [bool],
+}
+
+/// Pixels with a NaN or infinite sample, and the first of them.
+#[derive(Default)]
+struct Bad {
+    pixels: u64,
+    first: Option<(usize, usize)>,
+}
+
+impl Bad {
+    /// Of two parts of a picture, this one the upper.
+    fn and(self, below: Self) -> Self {
+        Self { pixels: self.pixels + below.pixels, first: self.first.or(below.first) }
+    }
+}
+
+/// Fills `rows`; returns what was not finite, and the coverage where the samples have one.
+fn decode(samples: &Samples, transfer: &Transfer, rows: Rows) -> (Bad, Option<Vec<f32>>) {
     match samples {
         Samples::U8 { channels, data } => {
             let curve: Vec<f32> =
                 (0..=u8::MAX).map(|c| transfer.decode(f32::from(c) / 255.0)).collect();
-            of_rows(
+            rows.fill(
                 data,
                 *channels,
-                width,
-                rec709_from_file,
                 Codes {
                     light: |c: u8| curve[usize::from(c)],
                     coverage: |c| f32::from(c) / 255.0,
@@ -95,11 +93,9 @@ fn lines(
                 .into_par_iter()
                 .map(|c| transfer.decode(f32::from(c) / 65535.0))
                 .collect();
-            of_rows(
+            rows.fill(
                 data,
                 *channels,
-                width,
-                rec709_from_file,
                 Codes {
                     light: |c: u16| curve[usize::from(c)],
                     coverage: |c| f32::from(c) / 65535.0,
@@ -107,22 +103,18 @@ fn lines(
                 },
             )
         }
-        Samples::F16 { channels, data } => of_rows(
+        Samples::F16 { channels, data } => rows.fill(
             data,
             *channels,
-            width,
-            rec709_from_file,
             Codes {
                 light: |v: half::f16| decode_float(transfer, v.to_f32()),
                 coverage: half::f16::to_f32,
                 clips: |v| v >= half::f16::MAX,
             },
         ),
-        Samples::F32 { channels, data } => of_rows(
+        Samples::F32 { channels, data } => rows.fill(
             data,
             *channels,
-            width,
-            rec709_from_file,
             Codes {
                 light: |v: f32| decode_float(transfer, v),
                 coverage: |v| v,
@@ -143,42 +135,48 @@ struct Codes<Light, Coverage, Clips> {
     clips: Clips,
 }
 
-fn of_rows<T: Copy + Sync>(
-    data: &[T],
-    channels: usize,
-    width: usize,
-    rec709_from_file: Option<DMat3>,
-    codes: Codes<impl Fn(T) -> f32 + Sync, impl Fn(T) -> f32 + Sync, impl Fn(T) -> bool + Sync>,
-) -> Vec<Line> {
-    let colours = if channels >= 3 { 3 } else { 1 };
-    let has_alpha = channels.is_multiple_of(2);
-    let line = |(y, row): (usize, &[T])| {
-        let mut line = Line {
-            linear: Vec::with_capacity(width),
-            alpha: Vec::with_capacity(if has_alpha { width } else { 0 }),
-            clipped: Vec::with_capacity(width),
-            nonfinite: 0,
-            first_nonfinite: None,
-        };
-        for (x, pixel) in row.chunks_exact(channels).enumerate() {
+impl Rows<'_> {
+    fn fill<T: Copy + Sync>(
+        self,
+        data: &[T],
+        channels: usize,
+        codes: Codes<impl Fn(T) -> f32 + Sync, impl Fn(T) -> f32 + Sync, impl Fn(T) -> bool + Sync>,
+    ) -> (Bad, Option<Vec<f32>>) {
+        let Self { width, rec709_from_file, linear, clipped } = self;
+        let colours = if channels >= 3 { 3 } else { 1 };
+        let pixel = |pixel: &[T]| {
             let light = |c: usize| (codes.light)(pixel[c.min(colours - 1)]);
-            let mut l = Rgb::new(light(0), light(1), light(2));
-            if let Some(matrix) = rec709_from_file {
-                l = (matrix * DVec3::from(l)).as_vec3();
+            let l = Rgb::new(light(0), light(1), light(2));
+            match rec709_from_file {
+                Some(matrix) => (matrix * DVec3::from(l)).as_vec3(),
+                None => l,
             }
-            if !l.is_finite() {
-                line.nonfinite += 1;
-                line.first_nonfinite.get_or_insert((x, y));
-                l = Rgb::select(l.is_finite_mask(), l, Rgb::ZERO);
+        };
+        let row = |(y, ((row, linear), clipped)): (usize, ((&[T], &mut [Rgb]), &mut [bool]))| {
+            let mut bad = Bad::default();
+            for (x, samples) in row.chunks_exact(channels).enumerate() {
+                let l = pixel(samples);
+                if !l.is_finite() {
+                    bad.pixels += 1;
+                    bad.first.get_or_insert((x, y));
+                }
+                linear[x] = Rgb::select(l.is_finite_mask(), l, Rgb::ZERO);
+                clipped[x] = samples[..colours].iter().any(|&c| (codes.clips)(c));
             }
-            line.linear.push(l);
-            line.clipped.push(pixel[..colours].iter().any(|&c| (codes.clips)(c)));
-            if has_alpha {
-                let a = (codes.coverage)(pixel[channels - 1]);
-                line.alpha.push(if a.is_finite() { a } else { 0.0 });
-            }
-        }
-        line
-    };
-    data.par_chunks_exact(width * channels).enumerate().map(line).collect()
+            bad
+        };
+        let bad = data
+            .par_chunks_exact(width * channels)
+            .zip(linear.par_chunks_exact_mut(width))
+            .zip(clipped.par_chunks_exact_mut(width))
+            .enumerate()
+            .map(row)
+            .reduce(Bad::default, Bad::and);
+        let coverage = |pixel: &[T]| {
+            let a = (codes.coverage)(pixel[channels - 1]);
+            if a.is_finite() { a } else { 0.0 }
+        };
+        let has_alpha = channels.is_multiple_of(2);
+        (bad, has_alpha.then(|| data.par_chunks_exact(channels).map(coverage).collect()))
+    }
 }

@@ -172,6 +172,16 @@ impl Samples {
             | Self::F32 { channels, .. } => *channels,
         }
     }
+
+    /// Number of samples: channels times pixels.
+    fn len(&self) -> usize {
+        match self {
+            Self::U8 { data, .. } => data.len(),
+            Self::U16 { data, .. } => data.len(),
+            Self::F16 { data, .. } => data.len(),
+            Self::F32 { data, .. } => data.len(),
+        }
+    }
 }
 
 impl Photo {
@@ -221,15 +231,16 @@ pub struct ReadOptions {
     pub layer: Option<String>,
     /// How the writer of a Radiance `.hdr` made its mantissas.
     pub mantissa: Mantissa,
-    /// Refuse pictures whose own samples need more than this many bytes (memory use is about
-    /// twice that).
+    /// Refuse pictures that need more than this many bytes: their own samples, and 13 a pixel for
+    /// linear light and clipping. The file's bytes are held beside them while it is read, and 4 a
+    /// pixel where there is an alpha.
     pub max_bytes: u64,
 }
 
 impl Default for ReadOptions {
-    /// Colour as the file says, main picture, truncated mantissas, 2 GiB of samples.
+    /// Colour as the file says, main picture, truncated mantissas, 4 GiB.
     fn default() -> Self {
-        Self { colour: None, layer: None, mantissa: Mantissa::Truncated, max_bytes: 2 << 30 }
+        Self { colour: None, layer: None, mantissa: Mantissa::Truncated, max_bytes: 4 << 30 }
     }
 }
 

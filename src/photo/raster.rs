@@ -48,7 +48,7 @@ pub(super) fn decode_png(
                 },
             },
         };
-        finish(path, options, decoder, exif, profile, "PNG")
+        finish(path, options, decoder, exif.as_deref(), profile, "PNG")
     })
 }
 
@@ -71,7 +71,7 @@ pub(super) fn decode_tiff(
         };
         decoder.set_limits(limits(options)).map_err(failed)?;
         // A TIFF file is an EXIF block itself.
-        finish(path, options, decoder, Some(bytes.to_vec()), profile, "TIFF")
+        finish(path, options, decoder, Some(bytes), profile, "TIFF")
     })
 }
 
@@ -96,7 +96,7 @@ pub(super) fn decode_jpeg(
             Some(icc) if options.colour.is_none() => Some(icc::encoding(path, &icc)?),
             _ => None,
         };
-        finish(path, options, decoder, exif, profile, "JPEG")
+        finish(path, options, decoder, exif.as_deref(), profile, "JPEG")
     })
 }
 
@@ -105,7 +105,7 @@ fn finish(
     path: &Path,
     options: &ReadOptions,
     decoder: impl ImageDecoder,
-    raw_exif: Option<Vec<u8>>,
+    raw_exif: Option<&[u8]>,
     profile: Option<Encoding>,
     format: &'static str,
 ) -> Result<Decoded, PhotoError> {
@@ -118,7 +118,7 @@ fn finish(
         options.max_bytes,
     )?;
     let (facts, exif_colour) = match raw_exif {
-        Some(raw) => exif::parse(&raw),
+        Some(raw) => exif::parse(raw),
         None => (Facts { orientation: 1, ..Facts::default() }, None),
     };
     let picture = DynamicImage::from_decoder(decoder).map_err(|e| image_error(path, format, e))?;

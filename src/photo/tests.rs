@@ -446,6 +446,11 @@ fn huge_claims_are_refused_before_anything_is_allocated() {
         let error = open(name, &bytes).unwrap_err();
         assert!(matches!(error, PhotoError::TooLarge { .. }), "{name}: {error}");
     }
+    // 8-bit grey: small in itself, thirteen times as large in linear light.
+    let mut png = plain_png(::image::ExtendedColorType::L8, &[0], 1, 1);
+    png[16..24].copy_from_slice(&[0, 0, 0xb3, 0xb0, 0, 0, 0xb3, 0xb0]);
+    let error = open("grey.png", &png).unwrap_err();
+    assert!(matches!(error, PhotoError::TooLarge { .. }), "{error}");
     // The crate itself compares an EXR's size with its chunks, so a true size is tried here.
     let options = ReadOptions { max_bytes: 256 * 256 * 4 * 3 - 1, ..ReadOptions::default() };
     let error = read_bytes(Path::new("a.exr"), &exr_bytes(&every_half()), &options).unwrap_err();
