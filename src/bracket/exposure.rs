@@ -174,7 +174,8 @@ impl Ratio {
     }
 }
 
-/// Corrects labels from the pixels; `order` lists the frames by rising label.
+/// Corrects labels from the pixels; `order` lists the frames by rising label. What it gives for
+/// frames that `order` leaves out (copies) means nothing.
 ///
 /// # Errors
 /// A label that is more than 25 % away from the pixels.
@@ -234,9 +235,10 @@ pub(super) fn refine(
     if !corrected {
         return Ok(labels.to_vec());
     }
-    // Ratios leave one common factor free: the labels are right on average.
-    let mean_off = labels.iter().zip(&log_exposure).map(|(l, e)| l.ln() - e).sum::<f64>()
-        / labels.len() as f64;
+    // Ratios leave one common factor free: the labels are right on average. Of the frames compared:
+    // a copy's place in `log_exposure` was never filled.
+    let mean_off =
+        order.iter().map(|&k| labels[k].ln() - log_exposure[k]).sum::<f64>() / order.len() as f64;
     Ok(log_exposure.iter().map(|e| (e + mean_off).exp()).collect())
 }
 

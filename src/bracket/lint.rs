@@ -118,15 +118,16 @@ pub(super) fn range(shortest: &Photo, longest: &Photo, warnings: &mut Vec<Warnin
     }
 }
 
-/// Frames that are the same picture as an earlier one (copies, not re-shots: noise never repeats).
-pub(super) fn duplicates(frames: &[Frame], warnings: &mut Vec<Warning>) -> Vec<usize> {
+/// Frames that are the same picture as an earlier one (copies, not re-shots: noise never repeats), each
+/// with the first such picture.
+pub(super) fn duplicates(frames: &[Frame], warnings: &mut Vec<Warning>) -> Vec<(usize, usize)> {
     let mut copies = Vec::new();
     for k in 1..frames.len() {
         let is_copy = |j: &usize| frames[*j].photo.samples == frames[k].photo.samples;
         if let Some(j) = (0..k).find(is_copy) {
             let path = |k: usize| frames[k].photo.path.clone();
             warnings.push(Warning::Duplicate { a: path(j), b: path(k) });
-            copies.push(k);
+            copies.push((k, j));
         }
     }
     copies

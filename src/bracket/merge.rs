@@ -104,7 +104,8 @@ pub fn merge(frames: &[Frame], options: &MergeOptions) -> Result<Merged, Bracket
     }
     let mut warnings = Vec::new();
     let copies = lint::duplicates(frames, &mut warnings);
-    let mut order: Vec<usize> = (0..frames.len()).filter(|k| !copies.contains(k)).collect();
+    let is_copy = |k: &usize| copies.iter().any(|(copy, _)| copy == k);
+    let mut order: Vec<usize> = (0..frames.len()).filter(|k| !is_copy(k)).collect();
     order.sort_by(|&a, &b| frames[a].exposure.total_cmp(&frames[b].exposure));
     let (shortest, longest) = (order[0], order[order.len() - 1]);
     lint::facts(frames, &order, &mut warnings);
@@ -140,13 +141,16 @@ pub fn merge(frames: &[Frame], options: &MergeOptions) -> Result<Merged, Bracket
             warnings.push(Warning::ResponseRecovered { factor: response.distance_from_srgb() });
         }
     }
-    let exposures = if options.refine_exposures && order.len() > 1 {
+    let mut exposures = if options.refine_exposures && order.len() > 1 {
         // A recovered curve was fitted to the labels: they can be checked, no longer corrected.
         let checked = exposure::refine(&layers, &photos, &labels, &order, &mut warnings)?;
         if response.is_some() { labels } else { checked }
     } else {
         labels
     };
+    for &(copy, original) in &copies {
+        exposures[copy] = exposures[original];
+    }
 
     let stack = Stack { layers: &layers, exposures: &exposures, order: &order };
     let noise = options.noise.or_else(|| noise::measure(&stack.pairs())).unwrap_or_else(|| {

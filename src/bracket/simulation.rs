@@ -333,6 +333,24 @@ fn a_copy_of_a_frame_counts_once() {
 }
 
 #[test]
+fn a_copy_among_corrected_labels_changes_nothing() {
+    let scene = wide_scene();
+    let (mut photos, truth) = bracket(&scene, 4);
+    let engraved = [1.0, 1.02, 0.985, 1.067, 1.0, 0.95, 1.03, 1.0, 0.99];
+    let mut labels: Vec<f64> = truth.iter().zip(engraved).map(|(t, e)| t * e).collect();
+    let options = MergeOptions { noise: Some(EXACT), ..MergeOptions::default() };
+    let alone = merge(&frames(&photos, &labels), &options).unwrap();
+    photos.push(photos[0].clone());
+    // Whatever its label says, the copy is the picture it is a copy of.
+    labels.push(labels[0] * 1.1);
+    let with_copy = merge(&frames(&photos, &labels), &options).unwrap();
+    assert_ne!(alone.exposures[..9], labels[..9], "the labels were corrected");
+    assert_eq!(with_copy.exposures[..9], alone.exposures[..]);
+    assert_eq!(with_copy.exposures[9], alone.exposures[0]);
+    assert_eq!(with_copy.radiance.mean, alone.radiance.mean);
+}
+
+#[test]
 fn bad_brackets_are_refused() {
     let scene = wide_scene();
     let (photos, exposures) = bracket(&scene, 12);
