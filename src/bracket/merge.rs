@@ -141,13 +141,19 @@ pub fn merge(frames: &[Frame], options: &MergeOptions) -> Result<Merged, Bracket
             warnings.push(Warning::ResponseRecovered { factor: response.distance_from_srgb() });
         }
     }
-    let mut exposures = if options.refine_exposures && order.len() > 1 {
-        // A recovered curve was fitted to the labels: they can be checked, no longer corrected.
-        let checked = exposure::refine(&layers, &photos, &labels, &order, &mut warnings)?;
-        if response.is_some() { labels } else { checked }
-    } else {
-        labels
-    };
+    let mut exposures = labels;
+    if options.refine_exposures && order.len() > 1 {
+        let mut found = Vec::new();
+        let refined = exposure::refine(&layers, &photos, &exposures, &order, &mut found)?;
+        if response.is_none() {
+            exposures = refined;
+        } else {
+            // A recovered curve was fitted to the labels: they can be checked, no longer corrected,
+            // and no warning may say that they were.
+            found.retain(|warning| !matches!(warning, Warning::LabelOff { .. }));
+        }
+        warnings.extend(found);
+    }
     for &(copy, original) in &copies {
         exposures[copy] = exposures[original];
     }

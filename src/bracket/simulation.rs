@@ -289,6 +289,16 @@ fn a_tone_curve_is_recovered_to_two_percent() {
 }
 
 #[test]
+fn labels_that_are_kept_are_not_called_corrected() {
+    let (_, photos, mut labels) = shot_through_a_curve(13);
+    labels[2] *= 1.15;
+    let merged = merge(&frames(&photos, &labels), &MergeOptions::default()).unwrap();
+    assert!(merged.response.is_some());
+    assert_eq!(merged.exposures, labels);
+    assert!(!merged.warnings.iter().any(|w| matches!(w, Warning::LabelOff { .. })));
+}
+
+#[test]
 fn a_tone_curve_that_may_not_be_recovered_is_reported() {
     let (_, photos, exposures) = shot_through_a_curve(13);
     let options = MergeOptions { response: ResponseSource::Stated, ..MergeOptions::default() };
