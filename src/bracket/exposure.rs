@@ -69,7 +69,11 @@ pub fn from_times(photos: &[Photo], times_s: &[f64]) -> Result<Vec<f64>, Bracket
 /// Reads a list of shutter times: one a line, `name time` or `time` alone, in seconds.
 ///
 /// Times may be fractions (`1/60`). Empty lines and lines that begin with `#` are skipped. With
-/// names the order of the lines does not matter; each of `photos` must have one.
+/// names the order of the lines does not matter; each of `photos` must have one, other files may.
+///
+/// # Errors
+/// A time that is none, a photograph that is not listed or listed twice, lines with and without
+/// names, or a wrong number of times.
 pub fn parse_times(text: &str, photos: &[PathBuf]) -> Result<Vec<f64>, BracketError> {
     let mut named = Vec::new();
     let mut plain = Vec::new();
@@ -86,15 +90,19 @@ pub fn parse_times(text: &str, photos: &[PathBuf]) -> Result<Vec<f64>, BracketEr
             Err(BracketError::TimesCount { times: plain.len(), photos: photos.len() })
         };
     }
+    if let Some(&time) = plain.first() {
+        return Err(BracketError::TimeWithoutName { time });
+    }
     photos
         .iter()
         .map(|photo| {
             let name = photo.file_name().map(|n| n.to_string_lossy().into_owned());
-            named
-                .iter()
-                .find(|(listed, _)| name.as_deref() == Some(*listed))
-                .map(|&(_, time)| time)
-                .ok_or_else(|| BracketError::NotListed { path: photo.clone() })
+            let mut times = named.iter().filter(|(listed, _)| name.as_deref() == Some(*listed));
+            match (times.next(), times.next()) {
+                (Some(&(_, time)), None) => Ok(time),
+                (None, _) => Err(BracketError::NotListed { path: photo.clone() }),
+                (Some(_), Some(_)) => Err(BracketError::ListedTwice { path: photo.clone() }),
+            }
         })
         .collect()
 }
@@ -313,6 +321,17 @@ mod tests {
         let photos = [PathBuf::from("x/a.jpg"), PathBuf::from("x/b.jpg")];
         assert_eq!(parse_times("b.jpg 1/4\n# dark\na.jpg  2\n", &photos).unwrap(), [2.0, 0.25]);
         assert_eq!(parse_times("1/8\n0.5\n", &photos).unwrap(), [0.125, 0.5]);
+        // A file that lists more than this bracket is read for what it names.
+        let more = parse_times("b.jpg 1/4\nc.jpg 7\na.jpg  2\n", &photos).unwrap();
+        assert_eq!(more, [2.0, 0.25]);
+        for (bad, told) in [
+            ("b.jpg 1/4\na.jpg 2\n0.5", "0.5"),
+            ("a.jpg 2\nb.jpg 1/4\na.jpg 3", "a.jpg"),
+            ("a.jpg 2\nc.jpg 1", "b.jpg"),
+        ] {
+            let error = parse_times(bad, &photos).unwrap_err().to_string();
+            assert!(error.contains(told) && error.contains(';'), "{bad:?}: {error}");
+        }
         for bad in ["1/0\n1", "a.jpg 1", "1\n2\n3", "x y\nz w", "-1\n1", "nan\n1"] {
             assert!(parse_times(bad, &photos).is_err(), "{bad:?}");
         }

@@ -34,7 +34,7 @@ pub enum BracketError {
     SizesDiffer { a: PathBuf, b: PathBuf, a_size: (usize, usize), b_size: (usize, usize) },
     #[error("{}: EXIF has no {missing}, so its exposure is not known; give the times of all frames (--times or --times-file)", path.display())]
     NoExposure { path: PathBuf, missing: String },
-    #[error("{}: exposure {exposure} is not a positive number", path.display())]
+    #[error("{}: exposure {exposure} is not a positive number; give time, f-number and ISO as positive numbers (--times, or the shot file's exposures)", path.display())]
     BadExposure { path: PathBuf, exposure: f64 },
     #[error("{times} times for {photos} photographs; give one for each")]
     TimesCount { times: usize, photos: usize },
@@ -42,7 +42,13 @@ pub enum BracketError {
     BadTime { text: String },
     #[error("{}: is not in the list of times", path.display())]
     NotListed { path: PathBuf },
-    #[error("{} has ISO and f-number in its EXIF, {} has not; their exposures cannot be compared", with.display(), without.display())]
+    #[error("{}: is in the list of times more than once; keep one line", path.display())]
+    ListedTwice { path: PathBuf },
+    #[error(
+        "the list of times names files, but has the time {time} without a name; give every line a name, or none"
+    )]
+    TimeWithoutName { time: f64 },
+    #[error("{} has ISO and f-number in its EXIF, {} has not, so that their exposures cannot be compared; copy the EXIF over, or remove it from all and give --times", with.display(), without.display())]
     MixedExif { with: PathBuf, without: PathBuf },
     #[error(
         "{} and {}: the exposures are stated as 1:{label:.3}, but the pixels say 1:{measured:.3}; correct the times (--times)",
