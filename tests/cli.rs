@@ -58,6 +58,26 @@ fn a_reader_that_went_away_is_no_crash() {
 }
 
 #[test]
+fn a_panorama_s_arguments_are_judged_before_anything_is_read() {
+    let out = ["-o", "never.exr"];
+    for (arguments, told) in [
+        (vec!["a.hdr", "--lat-long", "--width", "64"], "--width"),
+        (vec!["a.hdr", "--angular", "--times", "1"], "--times"),
+        (vec!["a.jpg", "--ball", "--reflectance", "0.5,0.5"], "--reflectance"),
+        (vec!["a.jpg", "--ball", "--reflectance", "7"], "reflectance"),
+        (vec!["a.jpg", "--ball", "--hint", "1,2"], "--hint"),
+        (vec!["a.hdr", "--cube", "--colour", "sRBG"], "sRBG"),
+        (vec!["a.jpg", "--fisheye", "equidistant", "--times", "x"], "\"x\""),
+    ] {
+        let all = [&["panorama"], arguments.as_slice(), &out].concat();
+        let output = platelight(&all);
+        assert_eq!(output.status.code(), Some(2), "{arguments:?}");
+        let said = stderr(&output);
+        assert!(said.contains(told) && !said.contains("cannot be read"), "{arguments:?}: {said}");
+    }
+}
+
+#[test]
 fn every_command_explains_itself_with_an_example() {
     let commands = commands();
     for expected in ["run", "check", "batch"] {

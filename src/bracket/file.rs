@@ -5,10 +5,12 @@
 
 use std::path::Path;
 
-use super::{Merged, Radiance, Validity};
+use super::{BracketError, Merged, Radiance, Validity};
 use crate::conventions::Rgb;
 use crate::photo::exr_file::{self, ExrAttributes, ExrPicture, ExrSamples, LINEAR_REC709};
-use crate::photo::{Image, PhotoError, ReadOptions, read as read_picture};
+use crate::photo::{
+    Format, Image, NonFinite, Photo, PhotoError, ReadOptions, read as read_picture, read_layer,
+};
 
 /// Writes a merged bracket; its exposures and noise go into the file's `comments` as JSON.
 pub fn write(path: &Path, merged: &Merged) -> Result<(), PhotoError> {
@@ -47,30 +49,95 @@ pub fn write(path: &Path, merged: &Merged) -> Result<(), PhotoError> {
 /// # Errors
 /// Files that are unreadable or lack the variance or validity layer.
 pub fn read(path: &Path) -> Result<Radiance, PhotoError> {
-    let layer = |layer: Option<&str>| {
-        let options = ReadOptions { layer: layer.map(Into::into), ..ReadOptions::default() };
-        read_picture(path, &options)
-    };
-    let mean = layer(None)?.linear;
-    let variance = layer(Some("variance"))?.linear;
-    let validity = layer(Some("validity"))?.linear;
-    if (variance.width(), variance.height()) != (mean.width(), mean.height()) {
-        let cause = "its parts have different sizes".into();
+    let mean = read_picture(path, &ReadOptions::default())?.linear;
+    let size = (mean.width(), mean.height());
+    let Some((variance, validity)) = layers(path, size)? else {
+        let cause = "has no variance and validity layers; merge the bracket again".into();
         return Err(PhotoError::Picture { path: path.into(), cause });
-    }
-    Ok(Radiance { mean, variance, validity: classes(&validity) })
+    };
+    Ok(Radiance { mean, variance, validity })
 }
 
-fn classes(values: &Image<Rgb>) -> Image<Validity> {
-    values.map(|v| match v.x as u8 {
-        0 => Validity::Measured,
-        1 => Validity::Single,
-        2 => Validity::LowerBound,
-        3 => Validity::UpperBound,
-        4 => Validity::Moved,
-        5 => Validity::Filled,
-        _ => Validity::Analytic,
-    })
+/// A picture that already holds radiance, with the variance and validity of its file where that has
+/// them.
+///
+/// Of any other picture the noise is not known and counts as none; clipped pixels are lower bounds.
+/// Negative light, which compression and colour conversion make, becomes none.
+///
+/// # Errors
+/// Pixels that are not finite: 0 in their place would be taken for measured darkness. Layers that
+/// are there but cannot be used.
+pub fn from_picture(photo: &Photo) -> Result<Radiance, BracketError> {
+    if let Some(NonFinite { pixels, first }) = photo.nonfinite {
+        return Err(BracketError::NotFinite { path: photo.path.clone(), pixels, first });
+    }
+    let size = (photo.linear.width(), photo.linear.height());
+    let stored = match photo.format {
+        Format::Exr => layers(&photo.path, size)?,
+        _ => None,
+    };
+    let (variance, validity) = stored.unwrap_or_else(|| {
+        let class = |&clipped: &bool| match clipped {
+            true => Validity::LowerBound,
+            false => Validity::Measured,
+        };
+        (photo.linear.map(|_| Rgb::ZERO), photo.clipped.map(class))
+    });
+    Ok(Radiance { mean: photo.linear.map(|l| l.max(Rgb::ZERO)), variance, validity })
+}
+
+/// The variance and validity layers of a picture of that size; `None` if the file has neither.
+fn layers(
+    path: &Path,
+    size: (usize, usize),
+) -> Result<Option<(Image<Rgb>, Image<Validity>)>, PhotoError> {
+    let damaged = |cause: String| PhotoError::Picture { path: path.into(), cause };
+    let (variance, validity) = match (read_layer(path, "variance")?, read_layer(path, "validity")?)
+    {
+        (Some(variance), Some(validity)) => (variance, validity),
+        (None, None) => return Ok(None),
+        (Some(_), None) | (None, Some(_)) => {
+            return Err(damaged(
+                "has only one of the layers variance and validity; write it with both, or neither"
+                    .into(),
+            ));
+        }
+    };
+    for (name, layer) in [("variance", &variance), ("validity", &validity)] {
+        let (w, h) = (layer.linear.width(), layer.linear.height());
+        if (w, h) != size {
+            return Err(damaged(format!(
+                "its layer {name} has {w} × {h} px, the picture {} × {}; write it again",
+                size.0, size.1
+            )));
+        }
+        if let Some(NonFinite { pixels, first: (x, y) }) = layer.nonfinite {
+            return Err(damaged(format!(
+                "its layer {name} is not finite in {pixels} px, first at ({x}, {y}); write it again"
+            )));
+        }
+    }
+    let classes: Option<Vec<Validity>> =
+        validity.linear.pixels().iter().map(|value| class(value.x)).collect();
+    let classes = classes.and_then(|classes| Image::from_pixels(size.0, size.1, classes));
+    let classes = classes.ok_or_else(|| {
+        damaged("its layer validity holds numbers other than 0 to 6; write it again".into())
+    })?;
+    Ok(Some((variance.linear, classes)))
+}
+
+/// The class of a stored number; `None` for what is none.
+fn class(number: f32) -> Option<Validity> {
+    const CLASSES: [Validity; 7] = [
+        Validity::Measured,
+        Validity::Single,
+        Validity::LowerBound,
+        Validity::UpperBound,
+        Validity::Moved,
+        Validity::Filled,
+        Validity::Analytic,
+    ];
+    CLASSES.into_iter().find(|&class| f32::from(class as u8) == number)
 }
 
 #[cfg(test)]
@@ -94,10 +161,27 @@ mod tests {
         assert_eq!(back.variance, merged.radiance.variance);
         assert_eq!(back.validity, merged.radiance.validity);
         assert_eq!(back.validity[(7, 3)], Validity::LowerBound);
+        // A class this program does not know is no class at all.
+        for odd in [7.0, 1.5, -1.0, f32::NAN] {
+            assert_eq!(class(odd), None, "{odd}");
+        }
         // A plain picture has no variance: said, not guessed.
         photo.linear[(0, 0)] = Rgb::ONE;
         let plain = folder.path().join("plain.hdr");
         crate::photo::radiance_hdr::write(&plain, &photo.linear, Default::default()).unwrap();
         assert!(read(&plain).is_err());
+    }
+
+    #[test]
+    fn a_picture_without_layers_keeps_its_clipped_pixels_and_never_its_nan() {
+        let mut photo = Photo::from_linear(Image::filled(4, 3, Rgb::new(1.0, -0.5, 2.0)));
+        photo.clipped[(2, 1)] = true;
+        let radiance = from_picture(&photo).unwrap();
+        assert_eq!(radiance.mean[(0, 0)], Rgb::new(1.0, 0.0, 2.0));
+        assert_eq!(radiance.validity[(2, 1)], Validity::LowerBound);
+        assert_eq!(radiance.validity[(2, 2)], Validity::Measured);
+        photo.nonfinite = Some(NonFinite { pixels: 3, first: (1, 2) });
+        let error = from_picture(&photo).unwrap_err().to_string();
+        assert!(error.contains("3 pixels") && error.contains("(1, 2)"), "{error}");
     }
 }

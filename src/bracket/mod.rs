@@ -20,7 +20,7 @@ pub use self::noise::Noise;
 use std::path::PathBuf;
 
 use crate::conventions::Rgb;
-use crate::photo::Image;
+use crate::photo::{Image, PhotoError};
 
 /// Why a bracket cannot be merged.
 #[derive(Debug, thiserror::Error)]
@@ -40,7 +40,7 @@ pub enum BracketError {
     TimesCount { times: usize, photos: usize },
     #[error("\"{text}\" is not a time in seconds; write 0.5 or 1/60")]
     BadTime { text: String },
-    #[error("{}: is not in the list of times", path.display())]
+    #[error("{}: is not in the list of times; add a line with its name and time", path.display())]
     NotListed { path: PathBuf },
     #[error("{}: is in the list of times more than once; keep one line", path.display())]
     ListedTwice { path: PathBuf },
@@ -55,6 +55,10 @@ pub enum BracketError {
         short.display(), long.display()
     )]
     WrongLabel { short: PathBuf, long: PathBuf, label: f64, measured: f64 },
+    #[error("{}: {pixels} pixels are not finite, the first at ({}, {}); repair the picture (NaN and infinity poison every sum of light)", path.display(), first.0, first.1)]
+    NotFinite { path: PathBuf, pixels: u64, first: (usize, usize) },
+    #[error(transparent)]
+    Photo(#[from] PhotoError),
 }
 
 /// What is known of the light at each pixel of a merged bracket.

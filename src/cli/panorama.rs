@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use glam::{DMat3, DVec2, DVec3, Vec3};
+use glam::{DMat3, DQuat, DVec2, DVec3, Vec3};
 use serde::Serialize;
 
 use super::{CliError, Global, Outcome};
@@ -72,10 +72,15 @@ pub struct Args {
     #[arg(long, value_name = "X,Y,Z", value_delimiter = ',', allow_hyphen_values = true)]
     rotation: Option<Vec<f64>>,
     /// Shutter times in seconds, one for each photograph [default: exposures from EXIF]
-    #[arg(long, value_delimiter = ',', value_name = "TIMES")]
+    #[arg(
+        long,
+        value_delimiter = ',',
+        value_name = "TIMES",
+        conflicts_with_all = ["angular", "ball_map", "cube", "lat_long"]
+    )]
     times: Option<Vec<String>>,
-    /// Texels across; the height is half [default: as fine as the photograph]
-    #[arg(long, value_name = "N")]
+    /// Texels across; the height is half [default: as fine as the photograph; a lat-long keeps its own]
+    #[arg(long, value_name = "N", conflicts_with = "lat_long")]
     width: Option<usize>,
     /// Also write the panorama as a PNG to look at
     #[arg(long, value_name = "PNG")]
@@ -154,27 +159,75 @@ struct ClippedSummary {
     place: String,
 }
 
-pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
-    if let Some(width) = args.width {
-        check_width(width)?;
+/// The arguments, judged before anything is read or written.
+struct Wishes<'a> {
+    args: &'a Args,
+    read: ReadOptions,
+    rotation: DQuat,
+    hint: Option<[f64; 3]>,
+    circle: Option<[f64; 3]>,
+    times_s: Option<Vec<f64>>,
+    /// `None`: not given.
+    reflectance: Option<Rgb>,
+}
+
+impl<'a> Wishes<'a> {
+    fn judge(args: &'a Args) -> Result<Self, CliError> {
+        if let Some(width) = args.width {
+            check_width(width)?;
+        }
+        let rotation = triple("--rotation", args.rotation.as_deref())?.unwrap_or_default();
+        let times =
+            args.times.as_deref().map(|times| times.iter().map(|t| exposure::parse_time(t)));
+        let reflectance = match args.reflectance.as_deref() {
+            Some(&[all]) => Some(Rgb::splat(all)),
+            Some(&[r, g, b]) => Some(Vec3::new(r, g, b)),
+            Some(_) => return Err(CliError::wrong("--reflectance: give one number or three")),
+            None => None,
+        };
+        if args.kind.ball {
+            // Where it stands is not known yet; radius and reflectance are judged alike anywhere.
+            Ball::new(DVec3::ZERO, args.radius, reflectance.unwrap_or(Rgb::ONE))?;
+        }
+        Ok(Self {
+            args,
+            read: ReadOptions { colour: colour::named(&args.colour)?, ..ReadOptions::default() },
+            rotation: file::rotation_xyz_deg(rotation),
+            hint: triple("--hint", args.hint.as_deref())?,
+            circle: triple("--circle", args.circle.as_deref())?,
+            times_s: times.map(Iterator::collect).transpose()?,
+            reflectance,
+        })
     }
+}
+
+/// A ball or fisheye unwrapped.
+struct Photographed {
+    panorama: Panorama,
+    ball: Option<BallImage>,
+    /// The photograph with the rim, if it is wanted.
+    overlay: Option<Image<Rgb>>,
+}
+
+pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
+    let wishes = Wishes::judge(args)?;
     let mut warnings = Vec::new();
-    let rotation =
-        file::rotation_xyz_deg(triple("--rotation", args.rotation.as_deref())?.unwrap_or_default());
-    let (panorama, found) = match layout(&args.kind) {
+    let Photographed { panorama, ball: found, overlay } = match layout(&args.kind) {
         Some(layout) => {
             let [path] = args.photos.as_slice() else {
                 return Err(CliError::wrong("a map of directions is one picture, not a bracket"));
             };
-            (file::read(path, layout, rotation, args.width)?, None)
+            let read = file::read(path, layout, wishes.rotation, args.width, &wishes.read)?;
+            warnings.extend(read.negative.map(|n| format!("{}: {n}", path.display())));
+            Photographed { panorama: read.panorama, ball: None, overlay: None }
         }
-        None => {
-            let (panorama, found) = photographed(args, &mut warnings)?;
-            (panorama.rotated(rotation), found)
-        }
+        None => photographed(&wishes, &mut warnings)?,
     };
     let panorama = in_world_axes(panorama);
     file::write(&args.out, &panorama)?;
+    if let (Some(path), Some(drawn)) = (&args.overlay, &overlay) {
+        write_png(path, drawn)?;
+    }
     if let Some(path) = &args.preview {
         let shown = tone::automatic_stops(&panorama.radiance);
         write_png(path, &tone::display(&panorama.radiance, shown, ToneCurve::Reinhard))?;
@@ -224,29 +277,26 @@ fn in_world_axes(panorama: Panorama) -> Panorama {
 }
 
 /// Ball or fisheye: merge, find, unwrap.
-fn photographed(
-    args: &Args,
-    warnings: &mut Vec<String>,
-) -> Result<(Panorama, Option<BallImage>), CliError> {
-    let options = ReadOptions { colour: colour::named(&args.colour)?, ..ReadOptions::default() };
+fn photographed(wishes: &Wishes, warnings: &mut Vec<String>) -> Result<Photographed, CliError> {
+    let args = wishes.args;
     let photos: Vec<Photo> =
-        args.photos.iter().map(|path| photo::read(path, &options)).collect::<Result<_, _>>()?;
-    let radiance = radiance(args, &photos, warnings)?;
+        args.photos.iter().map(|path| photo::read(path, &wishes.read)).collect::<Result<_, _>>()?;
+    let radiance = radiance(wishes, &photos, warnings)?;
     let (w, h) = (radiance.mean.width(), radiance.mean.height());
     if let Some(kind) = args.kind.fisheye {
-        let fisheye = fisheye(args, kind, w, h)?;
-        let reach =
-            triple("--circle", args.circle.as_deref())?.map_or(w.min(h) as f64 / 2.0, |c| c[2]);
+        let fisheye = fisheye(wishes, kind, w, h)?;
+        let reach = wishes.circle.map_or(w.min(h) as f64 / 2.0, |c| c[2]);
         let width = args.width.unwrap_or_else(|| natural_width(reach));
-        return Ok((to_lat_long(&radiance, &fisheye, DMat3::IDENTITY, width), None));
+        let panorama = to_lat_long(&radiance, &fisheye, DMat3::IDENTITY, width);
+        let panorama = panorama.rotated(wishes.rotation);
+        return Ok(Photographed { panorama, ball: None, overlay: None });
     }
     let camera = ball_camera(args, &photos[0], w, h)?;
     let plate = match &args.clean_plate {
-        Some(path) => Some(photo::read(path, &options)?.linear),
+        Some(path) => Some(photo::read(path, &wishes.read)?.linear),
         None => None,
     };
-    let hints =
-        Hints { circle_px: triple("--hint", args.hint.as_deref())?, clean_plate: plate.as_ref() };
+    let hints = Hints { circle_px: wishes.hint, clean_plate: plate.as_ref() };
     let found = find(&radiance.mean, &camera.lens, &hints)?;
     if found.score.is_none() {
         warnings.push(
@@ -261,57 +311,44 @@ fn photographed(
              --overlay, and give --hint if the wrong one was taken"
         ));
     }
-    if let Some(path) = &args.overlay {
-        let drawn = overlay(&radiance.mean, &camera.lens, &found, 800);
-        write_png(path, &drawn)?;
+    let wants_overlay = args.overlay.is_some();
+    let drawn = wants_overlay.then(|| overlay(&radiance.mean, &camera.lens, &found, 800));
+    if wishes.reflectance.is_none() {
+        warnings.push(
+            "--reflectance is not given: the ball is taken as perfect, and the light comes out \
+             too dark by its reflectance (chrome 0.55, good steel 0.6)"
+                .into(),
+        );
     }
-    let reflectance = match args.reflectance.as_deref() {
-        Some(&[all]) => Rgb::splat(all),
-        Some(&[r, g, b]) => Vec3::new(r, g, b),
-        Some(_) => return Err(CliError::wrong("--reflectance: give one number or three")),
-        None => {
-            warnings.push(
-                "--reflectance is not given: the ball is taken as perfect, and the light comes out \
-                 too dark by its reflectance (chrome 0.55, good steel 0.6)"
-                    .into(),
-            );
-            Rgb::ONE
-        }
-    };
+    let reflectance = wishes.reflectance.unwrap_or(Rgb::ONE);
     let distance = args.radius / found.rim.half_angle_rad.sin();
     let centre = camera.pose.position() + camera.pose.rotation() * found.rim.axis * distance;
     let ball = Ball::new(centre, args.radius, reflectance)?;
     let width = args.width.unwrap_or_else(|| natural_width(found.radius_px));
     let panorama = unwrap_ball(&radiance, &camera, &found.rim, &ball, None, width)?;
-    Ok((panorama, Some(found)))
+    let panorama = panorama.rotated(wishes.rotation);
+    Ok(Photographed { panorama, ball: Some(found), overlay: drawn })
 }
 
-/// The photographs as radiance: a merged EXR as it is, a bracket or a single photograph merged.
+/// The photographs as radiance: an EXR or HDR as it is, a bracket or a single photograph merged.
 fn radiance(
-    args: &Args,
+    wishes: &Wishes,
     photos: &[Photo],
     warnings: &mut Vec<String>,
 ) -> Result<Radiance, CliError> {
     if let [only] = photos
         && matches!(only.format, Format::Exr | Format::RadianceHdr)
     {
-        if only.format == Format::Exr
-            && let Ok(merged) = bracket::file::read(&args.photos[0])
-        {
-            return Ok(merged);
+        if wishes.times_s.is_some() {
+            return Err(CliError::wrong(format!(
+                "--times: {} is one picture of radiance, taken as it is; leave --times out",
+                only.path.display()
+            )));
         }
-        return Ok(Radiance {
-            mean: only.linear.map(|l| l.max(Rgb::ZERO)),
-            variance: only.linear.map(|_| Rgb::ZERO),
-            validity: only.linear.map(|_| Validity::Measured),
-        });
+        return Ok(bracket::file::from_picture(only)?);
     }
-    let exposures = match &args.times {
-        Some(times) => {
-            let times =
-                times.iter().map(|t| exposure::parse_time(t)).collect::<Result<Vec<_>, _>>()?;
-            exposure::from_times(photos, &times)?
-        }
+    let exposures = match &wishes.times_s {
+        Some(times) => exposure::from_times(photos, times)?,
         // One photograph needs no exposure to have a scale.
         None if photos.len() == 1 => vec![exposure::exposure(&photos[0].facts).unwrap_or(1.0)],
         None => exposure::from_exif(photos)?,
@@ -323,16 +360,17 @@ fn radiance(
     Ok(merged.radiance)
 }
 
-fn fisheye(args: &Args, kind: FisheyeKind, w: usize, h: usize) -> Result<Fisheye, CliError> {
+fn fisheye(wishes: &Wishes, kind: FisheyeKind, w: usize, h: usize) -> Result<Fisheye, CliError> {
+    let fov = wishes.args.fov;
     let projection = match kind {
         FisheyeKind::Equidistant => Projection::Equidistant,
         FisheyeKind::Equisolid => Projection::Equisolid,
         FisheyeKind::Stereographic => Projection::Stereographic,
         FisheyeKind::Orthographic => Projection::Orthographic,
     };
-    Ok(match triple("--circle", args.circle.as_deref())? {
-        Some([u, v, r]) => Fisheye::new(projection, args.fov, DVec2::new(u, v), r)?,
-        None => Fisheye::inscribed(projection, args.fov, w, h)?,
+    Ok(match wishes.circle {
+        Some([u, v, r]) => Fisheye::new(projection, fov, DVec2::new(u, v), r)?,
+        None => Fisheye::inscribed(projection, fov, w, h)?,
     })
 }
 

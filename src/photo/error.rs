@@ -28,6 +28,9 @@ pub enum PhotoError {
         super::colour::known_names()
     )]
     ColourName { name: String },
+    /// An EXR file without the layer (or main picture) that was asked for; `wanted` says which.
+    #[error("{}: has {wanted}; name one of its layers (channels: {channels})", path.display())]
+    NoLayer { path: PathBuf, wanted: String, channels: String },
     #[error("{}: {cause}", path.display())]
     Picture { path: PathBuf, cause: String },
 }

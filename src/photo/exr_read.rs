@@ -125,11 +125,7 @@ fn choose(path: &Path, headers: &[Header], layer: Option<&str>) -> Result<Pictur
             .collect();
         let wanted =
             layer.map_or("no R G B or Y main picture".into(), |l| format!("no layer {l:?}"));
-        let list = names.join(", ");
-        PhotoError::Picture {
-            path: path.into(),
-            cause: format!("has {wanted}; name one of its layers (channels: {list})"),
-        }
+        PhotoError::NoLayer { path: path.into(), wanted, channels: names.join(", ") }
     })
 }
 

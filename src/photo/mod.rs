@@ -273,6 +273,18 @@ pub fn read(path: &Path, options: &ReadOptions) -> Result<Photo, PhotoError> {
     read_bytes(path, &bytes, options)
 }
 
+/// Reads a layer of an EXR file; `None` if the file has none of that name.
+///
+/// # Errors
+/// As [`read`]: a layer that is there but damaged is no missing layer.
+pub fn read_layer(path: &Path, layer: &str) -> Result<Option<Photo>, PhotoError> {
+    match read(path, &ReadOptions { layer: Some(layer.into()), ..ReadOptions::default() }) {
+        Ok(photo) => Ok(Some(photo)),
+        Err(PhotoError::NoLayer { .. }) => Ok(None),
+        Err(error) => Err(error),
+    }
+}
+
 /// Reads a picture from a file's bytes; `path` only names it in messages.
 pub fn read_bytes(path: &Path, bytes: &[u8], options: &ReadOptions) -> Result<Photo, PhotoError> {
     let (format, decoded) = match bytes {

@@ -14,10 +14,10 @@ use super::mapping::{Angular, BallMap, CubeCross};
 use super::panorama::Panorama;
 use super::resample::to_lat_long;
 use super::unwrap::check_width;
-use crate::bracket::{self, Radiance, Validity};
+use crate::bracket::{self, Radiance};
 use crate::conventions::Rgb;
 use crate::photo::exr_file::{self, ExrAttributes, ExrPicture, ExrSamples, LINEAR_REC709};
-use crate::photo::{self, Image, PhotoError, ReadOptions};
+use crate::photo::{self, Format, Image, PhotoError, ReadOptions};
 
 /// How a picture of all directions is laid out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -63,30 +63,61 @@ pub fn write(path: &Path, panorama: &Panorama) -> Result<(), PhotoError> {
     exr_file::write(path, &picture)
 }
 
+/// A panorama read, and what was not right with its file.
+#[derive(Clone, Debug)]
+pub struct ReadPanorama {
+    pub panorama: Panorama,
+    /// Texels with negative light, which is taken as none.
+    pub negative: Option<Negative>,
+}
+
+/// Negative light in a picture; compression and colour conversion make a little of it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Negative {
+    pub texels: usize,
+    /// The lowest value, the picture's unit.
+    pub least: f32,
+    /// The brightest value, to compare it with.
+    pub brightest: f32,
+}
+
+/// "3 texels hold negative light, which is taken as none: down to -0.25, the brightest is 7".
+impl std::fmt::Display for Negative {
+    fn fmt(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
+        let Self { texels, least, brightest } = self;
+        write!(
+            f,
+            "{texels} texels hold negative light, which is taken as none: down to {least}, the \
+             brightest is {brightest}"
+        )
+    }
+}
+
 /// Reads a picture of all directions as a panorama.
 ///
 /// `rotation` takes the picture's axes to the world. Lat-longs keep their texels; other layouts are
 /// resampled to `width` texels ([`natural_width`] if `None`). The layers that [`write`] writes are
-/// read where they are; a picture without them is taken as measured and exact.
+/// read where they are; a picture without them is taken as exact, its clipped pixels as lower bounds.
+///
+/// # Errors
+/// An unreadable picture or layer, values that are not finite, or a shape that is not the layout's.
 pub fn read(
     path: &Path,
     layout: Layout,
     rotation: DQuat,
     width: Option<usize>,
-) -> Result<Panorama, ProbeError> {
-    let options = ReadOptions::default();
-    let photo = photo::read(path, &options)?;
-    if let Some(bad) = photo.nonfinite {
-        let (x, y) = bad.first;
-        return Err(ProbeError::NotFinite { path: path.into(), n: bad.pixels, x, y });
-    }
-    let linear = without_negatives(photo.linear);
-    let (w, h) = (linear.width(), linear.height());
+    options: &ReadOptions,
+) -> Result<ReadPanorama, ProbeError> {
+    let photo = photo::read(path, options)?;
+    let negative = negative(&photo.linear);
+    let source = bracket::file::from_picture(&photo)?;
+    let (w, h) = (source.mean.width(), source.mean.height());
     if layout == Layout::LatLong {
         if w != 2 * h {
             return Err(ProbeError::NotLatLong { path: path.into(), width: w, height: h });
         }
-        return Ok(with_layers(path, linear).rotated(rotation));
+        let panorama = lat_long(path, photo.format, source)?.rotated(rotation);
+        return Ok(ReadPanorama { panorama, negative });
     }
     let width = width.unwrap_or_else(|| natural_width(layout, w));
     check_width(width)?;
@@ -96,7 +127,6 @@ pub fn read(
         height: h,
         wanted,
     };
-    let source = exact(linear);
     let panorama = match layout {
         Layout::Cube if w % 4 == 0 && w / 4 * 3 == h => {
             to_lat_long(&source, &CubeCross { face: w / 4 }, DMat3::IDENTITY, width)
@@ -108,7 +138,7 @@ pub fn read(
         // Returned above.
         Layout::LatLong => return Err(shape("twice as wide as high")),
     };
-    Ok(panorama.rotated(rotation))
+    Ok(ReadPanorama { panorama: panorama.rotated(rotation), negative })
 }
 
 /// Width at which the layout's middle keeps its resolution.
@@ -121,38 +151,32 @@ fn natural_width(layout: Layout, width: usize) -> usize {
     (texels.clamp(64, 8192) / 2) * 2
 }
 
-fn exact(mean: Image<Rgb>) -> Radiance {
-    let (w, h) = (mean.width(), mean.height());
-    Radiance {
-        mean,
-        variance: Image::filled(w, h, Rgb::ZERO),
-        validity: Image::filled(w, h, Validity::Measured),
-    }
+fn negative(linear: &Image<Rgb>) -> Option<Negative> {
+    let pixels = linear.pixels();
+    let texels = pixels.iter().filter(|l| l.min_element() < 0.0).count();
+    let least = pixels.iter().map(|l| l.min_element()).fold(0.0, f32::min);
+    let brightest = pixels.iter().map(|l| l.max_element()).fold(0.0, f32::max);
+    (texels > 0).then_some(Negative { texels, least, brightest })
 }
 
-/// Light is not negative; compression and colour conversion make it slightly so.
-fn without_negatives(mut linear: Image<Rgb>) -> Image<Rgb> {
-    linear.pixels_mut().iter_mut().for_each(|l| *l = l.max(Rgb::ZERO));
-    linear
-}
-
-/// The panorama with the layers that the file has of those [`write`] writes.
-fn with_layers(path: &Path, radiance: Image<Rgb>) -> Panorama {
-    let (w, h) = (radiance.width(), radiance.height());
-    let mut panorama = Panorama::from_radiance(radiance);
-    if let Ok(stored) = bracket::file::read(path)
-        && (stored.mean.width(), stored.mean.height()) == (w, h)
-    {
-        panorama.variance = stored.variance;
-        panorama.validity = stored.validity;
+/// The panorama that a lat-long picture is, with its file's coverage where that has one.
+fn lat_long(path: &Path, format: Format, source: Radiance) -> Result<Panorama, PhotoError> {
+    let (w, h) = (source.mean.width(), source.mean.height());
+    let mut panorama = Panorama::from_radiance(source.mean);
+    panorama.variance = source.variance;
+    panorama.validity = source.validity;
+    let stored = match format {
+        Format::Exr => photo::read_layer(path, "coverage")?,
+        _ => None,
+    };
+    if let Some(coverage) = stored {
+        if (coverage.linear.width(), coverage.linear.height()) != (w, h) {
+            let cause = "its layer coverage has another size than the picture; write it again";
+            return Err(PhotoError::Picture { path: path.into(), cause: cause.into() });
+        }
+        panorama.coverage = coverage.linear.map(|c| c.x.clamp(0.0, 1.0));
     }
-    let options = ReadOptions { layer: Some("coverage".into()), ..ReadOptions::default() };
-    if let Ok(coverage) = photo::read(path, &options)
-        && (coverage.linear.width(), coverage.linear.height()) == (w, h)
-    {
-        panorama.coverage = coverage.linear.map(|c| c.x);
-    }
-    panorama
+    Ok(panorama)
 }
 
 /// Radians about the world's X, then Y, then Z: how shot files write a rotation in degrees.
@@ -166,7 +190,17 @@ pub fn rotation_xyz_deg(degrees: [f64; 3]) -> DQuat {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::bracket::Validity;
     use glam::DVec2;
+
+    fn read(
+        path: &Path,
+        layout: Layout,
+        rotation: DQuat,
+        width: Option<usize>,
+    ) -> Result<ReadPanorama, ProbeError> {
+        super::read(path, layout, rotation, width, &ReadOptions::default())
+    }
 
     #[test]
     fn a_panorama_survives_its_file() {
@@ -179,11 +213,61 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("pano.exr");
         write(&path, &panorama).unwrap();
-        let back = read(&path, Layout::LatLong, DQuat::IDENTITY, None).unwrap();
+        let back = read(&path, Layout::LatLong, DQuat::IDENTITY, None).unwrap().panorama;
         assert_eq!(back.radiance, panorama.radiance);
         assert_eq!(back.variance, panorama.variance);
         assert_eq!(back.validity, panorama.validity);
         assert_eq!(back.coverage, panorama.coverage);
+    }
+
+    #[test]
+    fn clipped_texels_of_a_picture_are_lower_bounds() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("pano.png");
+        let mut codes = vec![100u8; 16 * 8 * 3];
+        codes[(3 * 16 + 5) * 3] = 255;
+        let encoding = photo::Encoding {
+            transfer: photo::Transfer::Srgb,
+            primaries: photo::Primaries::Rec709,
+            source: photo::EncodingSource::Named,
+        };
+        let samples = photo::Samples::U8 { channels: 3, data: codes };
+        photo::png::write(&path, &samples, 16, 8, &encoding).unwrap();
+        let found = read(&path, Layout::LatLong, DQuat::IDENTITY, None).unwrap();
+        assert_eq!(found.panorama.validity[(5, 3)], Validity::LowerBound);
+        assert_eq!(found.panorama.share(Validity::Measured), {
+            let clipped = found.panorama.solid_angle(3) / (4.0 * std::f64::consts::PI);
+            1.0 - clipped
+        });
+        // The same picture as an angular map: its middle is clipped, and stays so when resampled.
+        let codes: Vec<u8> = (0..64 * 64)
+            .flat_map(|i| {
+                let inside = (28..36).contains(&(i % 64)) && (28..36).contains(&(i / 64));
+                [if inside { 255 } else { 100 }; 3]
+            })
+            .collect();
+        let samples = photo::Samples::U8 { channels: 3, data: codes };
+        photo::png::write(&path, &samples, 64, 64, &encoding).unwrap();
+        let angular = read(&path, Layout::Angular, DQuat::IDENTITY, Some(64)).unwrap();
+        assert!(angular.panorama.share(Validity::LowerBound) > 0.0);
+    }
+
+    #[test]
+    fn negative_light_is_counted_and_a_broken_layer_is_an_error() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("pano.exr");
+        let mut panorama = Panorama::from_radiance(Image::filled(16, 8, Rgb::ONE));
+        panorama.radiance[(2, 2)] = Rgb::new(1.0, -0.25, 1.0);
+        write(&path, &panorama).unwrap();
+        let found = read(&path, Layout::LatLong, DQuat::IDENTITY, None).unwrap();
+        assert_eq!(found.panorama.radiance[(2, 2)], Rgb::new(1.0, 0.0, 1.0));
+        let negative = found.negative.expect("one texel is negative");
+        assert_eq!((negative.texels, negative.least), (1, -0.25));
+
+        panorama.variance[(1, 1)] = Rgb::splat(f32::NAN);
+        write(&path, &panorama).unwrap();
+        let error = read(&path, Layout::LatLong, DQuat::IDENTITY, None).unwrap_err();
+        assert!(error.to_string().contains("variance"), "{error}");
     }
 
     #[test]
@@ -195,7 +279,7 @@ mod tests {
         let refused = |layout| read(&path, layout, DQuat::IDENTITY, None).unwrap_err().to_string();
         assert!(refused(Layout::LatLong).contains("angular"), "{}", refused(Layout::LatLong));
         assert!(refused(Layout::Cube).contains("cube"));
-        let angular = read(&path, Layout::Angular, DQuat::IDENTITY, Some(64)).unwrap();
+        let angular = read(&path, Layout::Angular, DQuat::IDENTITY, Some(64)).unwrap().panorama;
         assert_eq!((angular.width(), angular.height()), (64, 32));
         assert!(read(&path, Layout::Angular, DQuat::IDENTITY, Some(3)).is_err());
         assert!(read(Path::new("nowhere.exr"), Layout::LatLong, DQuat::IDENTITY, None).is_err());

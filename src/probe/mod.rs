@@ -55,6 +55,6 @@ pub enum ProbeError {
     Layout { path: PathBuf, width: usize, height: usize, wanted: &'static str },
     #[error(transparent)]
     Photo(#[from] crate::photo::PhotoError),
-    #[error("{}: {n} pixels are not finite, the first at ({x}, {y}); repair the picture (NaN and infinity poison every sum of light)", path.display())]
-    NotFinite { path: PathBuf, n: u64, x: usize, y: usize },
+    #[error(transparent)]
+    Radiance(#[from] crate::bracket::BracketError),
 }

@@ -3,9 +3,8 @@
 use super::file::PlateColour;
 use super::plan::Plan;
 use super::probe_keys::ProbeSource;
-use crate::bracket::{self, Radiance, ResponseSource, Validity};
-use crate::conventions::Rgb;
-use crate::photo::{Photo, Transfer};
+use crate::bracket::{self, Radiance, ResponseSource};
+use crate::photo::Transfer;
 use crate::report::Warning;
 
 /// Merges the photographs of a ball or fisheye; `None` for a panorama.
@@ -16,10 +15,16 @@ use crate::report::Warning;
 /// # Errors
 /// A sentence with file, cause and remedy.
 pub fn merge(plan: &mut Plan) -> Result<Option<(Radiance, Vec<Warning>)>, String> {
+    let key = match &plan.shot.probe.source {
+        ProbeSource::Fisheye(_) => "probe.fisheye",
+        ProbeSource::Ball(_) | ProbeSource::Panorama(_) => "probe.ball",
+    };
     match plan.probe_photos.as_slice() {
         [] => return Ok(None),
         [photo] if plan.exposures.values == [1.0] => {
-            return Ok(Some((as_radiance(photo), Vec::new())));
+            let radiance = bracket::file::from_picture(photo)
+                .map_err(|error| format!("{}: {key}: {error}", plan.shot.path.display()))?;
+            return Ok(Some((radiance, Vec::new())));
         }
         _ => {}
     }
@@ -35,10 +40,6 @@ pub fn merge(plan: &mut Plan) -> Result<Option<(Radiance, Vec<Warning>)>, String
     };
     let recovering = response == ResponseSource::Bracket;
     let options = bracket::MergeOptions { response, ..Default::default() };
-    let key = match &plan.shot.probe.source {
-        ProbeSource::Fisheye(_) => "probe.fisheye",
-        ProbeSource::Ball(_) | ProbeSource::Panorama(_) => "probe.ball",
-    };
     let merged = bracket::merge(&frames, &options)
         .map_err(|error| format!("{}: {key}: {error}", plan.shot.path.display()))?;
 
@@ -77,15 +78,4 @@ pub fn merge(plan: &mut Plan) -> Result<Option<(Radiance, Vec<Warning>)>, String
         ));
     }
     Ok(Some((merged.radiance, warnings)))
-}
-
-/// A picture that already holds radiance; its noise is not known and counts as none.
-fn as_radiance(photo: &Photo) -> Radiance {
-    Radiance {
-        mean: photo.linear.map(|l| l.max(Rgb::ZERO)),
-        variance: photo.linear.map(|_| Rgb::ZERO),
-        validity: photo
-            .clipped
-            .map(|&clipped| if clipped { Validity::LowerBound } else { Validity::Measured }),
-    }
 }

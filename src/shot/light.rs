@@ -16,7 +16,7 @@ use crate::camera::Camera;
 use crate::conventions::{Rgb, luminance};
 use crate::light::clipped::{self, Stage};
 use crate::light::{Disc, LightOptions, Lights, SunSplit};
-use crate::photo::Image;
+use crate::photo::{Image, ReadOptions};
 use crate::probe::file::{self, Layout, rotation_xyz_deg};
 use crate::probe::fisheye::{self, Projection};
 use crate::probe::resample::to_lat_long;
@@ -155,12 +155,18 @@ fn take_panorama(keys: &PanoramaKeys) -> Result<Unwrapped, String> {
         PanoramaMapping::BallMap => Layout::BallMap,
         PanoramaMapping::Cube => Layout::Cube,
     };
-    let mut panorama = file::read(&keys.file, layout, rotation_xyz_deg(keys.rotation), None)
+    let rotation = rotation_xyz_deg(keys.rotation);
+    let read = file::read(&keys.file, layout, rotation, None, &ReadOptions::default())
         .map_err(|error| error.to_string())?;
+    let mut panorama = read.panorama;
     panorama.place = keys.at.into();
+    let negative = read.negative.map(|negative| {
+        let size = format!("{} texels, down to {}", negative.texels, negative.least);
+        Warning::new("probe.panorama", negative.to_string(), size)
+    });
     let source = format!("panorama {}", keys.file.display());
     let report = ProbeReport { source, ..ProbeReport::default() };
-    Ok(Unwrapped { panorama, ball: None, report, warnings: Vec::new() })
+    Ok(Unwrapped { panorama, ball: None, report, warnings: negative.into_iter().collect() })
 }
 
 /// Everything of the scene that the judgement of clipped lights needs.
