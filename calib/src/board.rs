@@ -11,6 +11,9 @@ use opencv::imgproc;
 
 use crate::{OpenCvError, Picture, mat, saddle};
 
+/// Inner corners that a checkerboard may have along each side.
+pub const CORNERS: std::ops::RangeInclusive<usize> = 3..=100;
+
 /// Inner corners of a checkerboard.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Checkerboard {
@@ -68,7 +71,7 @@ impl From<opencv::Error> for BoardError {
 /// Finds the whole board in a picture.
 pub fn find_checkerboard(picture: &Picture, board: Checkerboard) -> Result<Corners, BoardError> {
     let Checkerboard { columns, rows } = board;
-    if columns.min(rows) < 3 || columns.max(rows) > 100 {
+    if !(CORNERS.contains(&columns) && CORNERS.contains(&rows)) {
         return Err(BoardError::Size { columns, rows });
     }
     mat::prepare();
@@ -449,9 +452,6 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn no_board_and_wrong_counts_are_errors() {
-        let grey = vec![0.5; 400 * 300];
-    #[test]
     fn a_patch_of_turned_polarity_is_not_this_board() {
         // Right places, but black and white exchanged over the right part of the picture.
         let board = Checkerboard { columns: 12, rows: 9 };
@@ -472,6 +472,9 @@ pub(crate) mod tests {
         assert!(matches!(error, BoardError::Hidden { .. }), "{error}");
     }
 
+    #[test]
+    fn no_board_and_wrong_counts_are_errors() {
+        let grey = vec![0.5; 400 * 300];
         let picture = Picture::new(400, 300, &grey).unwrap();
         assert!(matches!(find_checkerboard(&picture, BOARD), Err(BoardError::NotFound { .. })));
         let (luma, _) = turned(0.2);

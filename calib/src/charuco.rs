@@ -23,13 +23,16 @@ pub struct Charuco {
 /// Corners seen: column and row of the inner corner, and its pixel.
 pub type Seen = Vec<([usize; 2], [f64; 2])>;
 
+/// Inner corners that a ChArUco board may have along each side.
+pub const CORNERS: std::ops::RangeInclusive<usize> = 2..=30;
 /// Fewest corners with which a view is worth anything.
-const FEWEST: usize = 9;
+pub const FEWEST: usize = 9;
 
 /// Finds the corners of the board that are seen.
 pub fn find_charuco(picture: &Picture, board: Charuco) -> Result<Seen, BoardError> {
     let Charuco { columns, rows, marker } = board;
-    if columns.min(rows) < 2 || columns.max(rows) > 30 || !(marker > 0.2 && marker < 0.95) {
+    let fits = CORNERS.contains(&columns) && CORNERS.contains(&rows);
+    if !(fits && marker > 0.2 && marker < 0.95) {
         return Err(BoardError::Size { columns, rows });
     }
     mat::prepare();

@@ -16,11 +16,20 @@ pub use self::with_calib::{
 #[cfg(not(feature = "opencv"))]
 pub use self::without_calib::{board, calibrate, charuco_pattern, tag, tag_pattern};
 
+use std::ops::RangeInclusive;
+
 use glam::DVec2;
 
 use crate::camera::Lens;
 use crate::photo::{Image, Photo};
 use crate::report::Warning;
+
+/// Inner corners that a checkerboard may have along each side to be found.
+pub const CHECKERBOARD_CORNERS: RangeInclusive<usize> = 3..=100;
+/// Inner corners that a ChArUco board may have along each side.
+pub const CHARUCO_CORNERS: RangeInclusive<usize> = 2..=30;
+/// Corners of a ChArUco board that must be seen.
+pub const FEWEST_CHARUCO_CORNERS: usize = 9;
 
 /// Why a print was not found, as a sentence without the photograph's name.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]

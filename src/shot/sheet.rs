@@ -72,9 +72,12 @@ pub fn checkerboard(
     square_mm: f64,
     page: [f64; 2],
 ) -> Result<Sheet, SheetError> {
-    if columns.min(rows) < 2 || columns.max(rows) > 100 {
+    let most = detect::CHECKERBOARD_CORNERS;
+    if !(most.contains(&columns) && most.contains(&rows)) {
+        let (least, most) = (most.start(), most.end());
         return Err(SheetError::Size(format!(
-            "{columns} × {rows} inner corners; both counts lie between 2 and 100"
+            "{columns} × {rows} inner corners cannot be found again; both counts must lie between \
+             {least} and {most}"
         )));
     }
     let (wide, high) = (columns + 1, rows + 1);
@@ -97,9 +100,14 @@ pub fn charuco(
     square_mm: f64,
     page: [f64; 2],
 ) -> Result<Sheet, SheetError> {
-    if columns.min(rows) < 3 || columns.max(rows) > 31 || columns * rows / 2 > 250 {
+    let most = detect::CHARUCO_CORNERS;
+    let (across, down) = (columns.saturating_sub(1), rows.saturating_sub(1));
+    let fits = most.contains(&across) && most.contains(&down) && columns * rows / 2 <= 250;
+    if !fits || across * down < detect::FEWEST_CHARUCO_CORNERS {
+        let (least, most, fewest) = (most.start(), most.end(), detect::FEWEST_CHARUCO_CORNERS);
         return Err(SheetError::Size(format!(
-            "{columns} × {rows} squares; 3 to 31 each way and at most 250 markers"
+            "{across} × {down} inner corners cannot be found again; {least} to {most} each way, at \
+             least {fewest} in all, and at most 250 markers"
         )));
     }
     let (per_square, cells) = detect::charuco_pattern(columns, rows)?;
@@ -288,6 +296,9 @@ mod tests {
         let error = checkerboard(9, 6, 40.0, page_mm("A4").unwrap()).unwrap_err();
         assert!(error.to_string().contains("440"), "{error}");
         assert!(checkerboard(1, 6, 10.0, [210.0, 297.0]).is_err());
+        // The detector needs three each way: a sheet that nothing finds is not printed.
+        assert!(checkerboard(2, 6, 10.0, [210.0, 297.0]).is_err());
+        assert!(matches!(charuco(3, 5, 10.0, [210.0, 297.0]), Err(SheetError::Size(_))));
         assert!(checkerboard(9, 6, f64::NAN, [210.0, 297.0]).is_err());
         assert!(checkerboard(9, 6, -1.0, [210.0, 297.0]).is_err());
         for page in ["", "A", "1x2", "axb", "1e9x5", "NaNxNaN"] {

@@ -13,6 +13,16 @@ use crate::photo::{Image, Photo};
 use crate::report::Warning;
 use crate::shot::camera_keys::Board;
 
+/// Sheets are printed without OpenCV too: its door must know the limits that stand behind it.
+const _: () = {
+    use platelight_calib::{board, charuco};
+    assert!(*board::CORNERS.start() == *super::CHECKERBOARD_CORNERS.start());
+    assert!(*board::CORNERS.end() == *super::CHECKERBOARD_CORNERS.end());
+    assert!(*charuco::CORNERS.start() == *super::CHARUCO_CORNERS.start());
+    assert!(*charuco::CORNERS.end() == *super::CHARUCO_CORNERS.end());
+    assert!(charuco::FEWEST == super::FEWEST_CHARUCO_CORNERS);
+};
+
 fn not_found(error: impl std::fmt::Display) -> DetectError {
     DetectError::NotFound(error.to_string())
 }
