@@ -18,6 +18,7 @@ use crate::light::clipped::{self, Stage};
 use crate::light::{Disc, LightOptions, Lights, SunSplit};
 use crate::photo::{Image, ReadOptions};
 use crate::probe::file::{self, Layout, rotation_xyz_deg};
+use crate::probe::find::BallImage;
 use crate::probe::fisheye::{self, Projection};
 use crate::probe::resample::to_lat_long;
 use crate::probe::unwrap::{Support, natural_width, unwrap_ball};
@@ -107,6 +108,7 @@ fn unwrap_the_ball(
             "all of the light, if the wrong one was taken",
         ));
     }
+    warnings.extend(found.disagreement_px(&camera, &ball).and_then(|off| misplaced(off, &found)));
     let report = ProbeReport {
         source: format!("mirror ball, {} photographs", plan.probe_photos.len()),
         ball_px: Some([found.centre_px.x, found.centre_px.y, found.radius_px]),
@@ -115,6 +117,29 @@ fn unwrap_the_ball(
         ..ProbeReport::default()
     };
     Ok(Unwrapped { panorama, ball: Some((camera, found.rim)), report, warnings })
+}
+
+/// A ball this far from where the shot file and the pose put it, as a share of its radius, is not
+/// measured badly but placed wrongly: a tape is good to millimetres.
+const MISPLACED: f64 = 0.25;
+/// The same for its radius.
+const MISSIZED: f64 = 0.1;
+
+/// A warning where the rim is not where the ball's place and size and the camera's pose put it.
+fn misplaced((centre, radius): (f64, f64), found: &BallImage) -> Option<Warning> {
+    let (most, most_radius) = (MISPLACED * found.radius_px, MISSIZED * found.radius_px);
+    if centre < most.max(5.0 * found.sigma_px) && radius.abs() < most_radius {
+        return None;
+    }
+    let [u, v] = found.centre_px.to_array();
+    let sentence = format!(
+        "the ball's rim (centre {u:.0}, {v:.0}, radius {:.0} px) lies {centre:.0} px from where \
+         probe.ball.at and the pose put it and is {radius:+.0} px off in radius; check at, radius, \
+         the pose, and the overlay",
+        found.radius_px
+    );
+    let size = "where the light was measured; its directions come from the rim itself";
+    Some(Warning::new("probe.ball", sentence, size))
 }
 
 /// The plate, if it is the ball's photograph without the ball.
@@ -386,6 +411,23 @@ fn sigma_irradiance(panorama: &Panorama) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_ball_that_is_not_where_it_should_be_is_told_and_a_tape_s_error_is_not() {
+        let found = BallImage {
+            rim: Rim::known(DVec3::NEG_Z, 0.1, 1e-4),
+            centre_px: DVec2::new(300.0, 200.0),
+            radius_px: 100.0,
+            sigma_px: 0.3,
+            score: None,
+            rival_px: None,
+        };
+        assert!(misplaced((10.0, -4.0), &found).is_none());
+        for off in [(40.0, 0.0), (0.0, 15.0), (0.0, -15.0)] {
+            let warning = misplaced(off, &found).expect("far off").to_string();
+            assert!(warning.contains("300, 200") && warning.contains("probe.ball.at"), "{warning}");
+        }
+    }
 
     #[test]
     fn irradiance_sigma_of_constant_noise_is_small_and_known() {
