@@ -1,8 +1,7 @@
 //! Fisheye photographs: the four textbook projections.
 //!
 //! r(θ) = fθ, 2f sin(θ/2), 2f tan(θ/2), f sin θ; solid angle per pixel area `sin θ/(r dr/dθ)`. Axes are
-//! the camera's: −Z in the middle, +Y up. Lenses measured with a board (Kannala–Brandt) go through
-//! [`Through`](super::mapping::Through).
+//! the camera's: −Z in the middle, +Y up.
 
 use std::f64::consts::PI;
 

@@ -9,7 +9,6 @@ use std::f64::consts::PI;
 
 use glam::{DVec2, DVec3};
 
-use crate::camera::Lens;
 use crate::conventions::{lat_long_direction, lat_long_pixel, lat_long_solid_angle};
 
 /// One-to-one between pixels of a picture and directions; axes as each implementation says.
@@ -191,22 +190,6 @@ impl CubeCross {
         let (column, row) = (p.x.floor(), p.y.floor());
         let &(_, right, up, outward) = FACES.iter().find(|f| f.0 == [column, row])?;
         Some((outward, right, up, 2.0 * (p.x - column) - 1.0, 1.0 - 2.0 * (p.y - row)))
-    }
-}
-
-/// Any photograph through a known lens; axes are the camera's (−Z forward).
-#[derive(Clone, Copy, Debug)]
-pub struct Through<'a> {
-    pub lens: &'a Lens,
-}
-
-impl Mapping for Through<'_> {
-    fn pixel(&self, direction: DVec3) -> Option<DVec2> {
-        self.lens.project(direction)
-    }
-
-    fn direction(&self, pixel: DVec2) -> Option<DVec3> {
-        self.lens.unproject(pixel)
     }
 }
 

@@ -66,11 +66,6 @@ impl Rim {
         ((self.covariance[0][0] + self.covariance[1][1]) / 2.0).sqrt()
     }
 
-    /// Standard error of the half-angle, radians.
-    pub fn sigma_half_angle_rad(&self) -> f64 {
-        self.covariance[2][2].sqrt()
-    }
-
     /// Standard error of the directions that the ball shows, radians: `2 σ/α` (C4: a centre error
     /// of one pixel turns the mirrored direction by 2/R rad).
     pub fn sigma_direction_rad(&self) -> f64 {

@@ -203,11 +203,6 @@ impl Material {
         .into_iter()
         .flatten()
     }
-
-    /// Whether any light is sent out.
-    pub fn is_emissive(&self) -> bool {
-        self.emissive.max_element() > 0.0
-    }
 }
 
 impl AlphaMode {
