@@ -2,13 +2,13 @@
 
 use std::fs::File;
 use std::io::{self, Write};
-use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 
 /// Writes a file through a temporary one in the same folder, renamed when complete.
 ///
-/// A reader never sees half a file, and a failed write leaves what was there. Mode 0644: the
-/// temporary file's own 0600 would hide results from the rest of a studio.
+/// A reader never sees half a file, and a failed write leaves what was there, also when the power
+/// fails between the two. Its mode is any new file's (0666 less the umask): the temporary file's own
+/// 0600 would hide results from the rest of a studio.
 pub fn write<E: From<io::Error>>(
     path: &Path,
     fill: impl FnOnce(&mut File) -> Result<(), E>,
@@ -17,10 +17,18 @@ pub fn write<E: From<io::Error>>(
         Some(parent) if !parent.as_os_str().is_empty() => parent,
         _ => Path::new("."),
     };
-    let mut temporary = tempfile::Builder::new().prefix(".platelight-").tempfile_in(folder)?;
+    let mut builder = tempfile::Builder::new();
+    builder.prefix(".platelight-");
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::PermissionsExt;
+        builder.permissions(std::fs::Permissions::from_mode(0o666));
+    }
+    let mut temporary = builder.tempfile_in(folder)?;
     fill(temporary.as_file_mut())?;
     temporary.as_file_mut().flush()?;
-    temporary.as_file().set_permissions(std::fs::Permissions::from_mode(0o644))?;
+    // Before the rename: some file systems write names before contents.
+    temporary.as_file().sync_all()?;
     temporary.persist(path).map_err(|e| e.error)?;
     Ok(())
 }
@@ -41,8 +49,20 @@ mod tests {
         assert!(failed.is_err());
         assert_eq!(std::fs::read(&path).unwrap(), b"old");
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
-        let mode = std::fs::metadata(&path).unwrap().permissions().mode();
-        assert_eq!(mode & 0o777, 0o644);
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_file_has_the_mode_of_any_new_file() {
+        use std::os::unix::fs::PermissionsExt;
+        let folder = tempfile::tempdir().unwrap();
+        let mode = |name: &str| {
+            let path = folder.path().join(name);
+            std::fs::metadata(path).unwrap().permissions().mode() & 0o777
+        };
+        File::create(folder.path().join("plain")).unwrap();
+        write(&folder.path().join("ours"), |f| f.write_all(b"x")).unwrap();
+        assert_eq!(mode("ours"), mode("plain"));
     }
 
     #[test]
