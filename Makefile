@@ -12,7 +12,8 @@ test: system
 	cargo test --workspace
 	cargo check --no-default-features --all-targets
 
-# Also makes the demo shot anew (about ten CPU minutes): not one byte of it may differ.
+# Also makes the demo shot anew (plates/demo/README.md says how long that takes): not one byte of it
+# may differ.
 test-long: test
 	cargo run --release --quiet --example make_demo -- --out out/demo-anew
 	diff -r --exclude=README.md out/demo-anew plates/demo

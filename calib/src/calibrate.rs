@@ -84,7 +84,7 @@ pub enum Warning {
     Noisy { sigma_px: f64 },
     /// The lens model does not reach the corners of the picture.
     Folds,
-    /// Views left out of few.
+    /// Fewer views than a good calibration has.
     FewViews { used: usize },
 }
 

@@ -112,7 +112,7 @@ fn coarse_half(value: f64) -> f16 {
     f16::from_bits(bits.saturating_add(2) & !3)
 }
 
-/// Meshes with one material each as binary glTF 2.0; `at` is where they stand (baked in).
+/// Meshes with one material each as binary glTF 2.0.
 pub fn write_glb(path: &Path, meshes: &[(&str, &Triangles, Finish)]) -> Done {
     let mut binary = Vec::new();
     let (mut views, mut accessors) = (Vec::new(), Vec::new());

@@ -14,7 +14,7 @@ use crate::tracer::{Rendered, irradiance, render};
 /// Size of the camera's frame, pixels.
 pub const FRAME: (usize, usize) = (1080, 720);
 
-/// The bracket of the ball: f/22, five thirds to eight thirds of a stop apart, darkest first.
+/// The bracket of the ball: f/22, seven or eight thirds of a stop apart, darkest first.
 pub const BRACKET: [Exposure; 6] = [
     Exposure { time: (1, 8000), f_number: 22.0, iso: 100 },
     Exposure { time: (1, 1250), f_number: 22.0, iso: 100 },

@@ -362,13 +362,14 @@ impl Stack<'_> {
         Merge { mean: (value / t).as_vec3(), variance, validity }
     }
 
-    /// Pixels seen in two neighbouring frames, for the noise: a regular subset of at most ~200 000.
+    /// Pixels seen in two neighbouring frames, for the noise: a regular subset of some 200 000 pixels at
+    /// most, each with a pair for each channel.
     fn pairs(&self) -> Vec<Pair> {
-        const MOST_PAIRS: usize = 200_000;
+        const MOST_PIXELS: usize = 200_000;
         let Some(first) = self.layers.first() else { return Vec::new() };
         let all = first.linear.pixels().len() * 3 * self.order.len().saturating_sub(1);
         // An odd step does not fall into step with a power-of-two row.
-        let step = (all / MOST_PAIRS).max(1) | 1;
+        let step = (all / MOST_PIXELS).max(1) | 1;
         let mut pairs = Vec::new();
         for two in self.order.windows(2) {
             let (short, long) = (&self.layers[two[0]], &self.layers[two[1]]);

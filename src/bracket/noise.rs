@@ -103,7 +103,7 @@ pub(super) fn measure(pairs: &[Pair]) -> Option<Noise> {
         return None;
     }
     let mut noise = Noise { measured: true, ..Noise::TYPICAL };
-    // Each depends a little on the other; three rounds settle to well below the median's own error.
+    // Each depends a little on the other; three rounds settle to well below the quantile's own error.
     for _ in 0..3 {
         noise.full_well_e = solve(100.0, 1e6, |full_well_e| {
             // The read noise stays what it is as a share of white.

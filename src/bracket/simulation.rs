@@ -168,7 +168,7 @@ fn the_camera_s_noise_is_read_from_the_bracket() {
     let (photos, exposures) = bracket(&scene, 3);
     let noise = merge(&frames(&photos, &exposures), &MergeOptions::default()).unwrap().noise;
     eprintln!("{noise:?}");
-    // The median of ~50 000 χ² pairs is good to 1 %; rounding to 8 bits blurs both further.
+    // The 68 % quantile of some 50 000 χ² pairs is good to 1 %; rounding to 8 bits blurs it further.
     assert!((noise.full_well_e / FULL_WELL - 1.0).abs() < 0.08, "{noise:?}");
     // Half a code of 8 bits at the foot of sRGB is 6 e⁻ here: the read noise is only just seen.
     assert!(noise.read_noise_e < 2.0 * READ_NOISE, "{noise:?}");
