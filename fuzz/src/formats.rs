@@ -33,7 +33,7 @@ pub const FORMATS: [Format; 14] = [
     ("times", times),
 ];
 
-/// Samples a picture may need: small, so that a size believed too early is seen at once.
+/// Memory a picture may take: small, so that a size believed too early is seen at once.
 pub const MAX_BYTES: u64 = 16 << 20;
 
 fn picture(name: &str, bytes: &[u8]) {

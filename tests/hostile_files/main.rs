@@ -46,8 +46,8 @@ unsafe impl GlobalAlloc for Watching {
 #[global_allocator]
 static ALLOCATOR: Watching = Watching;
 
-/// The limit on samples is 16 MiB, and the linear picture of 8-bit grey samples is twelve times as
-/// large as they are; but the TIFF decoder takes up to 256 MiB for one tag before it can be told less.
+/// The limit is 16 MiB, linear light included; but the TIFF decoder takes up to 256 MiB for one tag
+/// before it can be told less.
 const LARGEST_ALLOWED: usize = 17 * formats::MAX_BYTES as usize;
 
 thread_local! {
