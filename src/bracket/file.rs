@@ -86,11 +86,11 @@ pub fn from_picture(photo: &Photo) -> Result<Radiance, BracketError> {
     Ok(Radiance { mean: photo.linear.map(|l| l.max(Rgb::ZERO)), variance, validity })
 }
 
-/// The variance and validity layers of a picture of that size; `None` if the file has neither.
-fn layers(
-    path: &Path,
-    size: (usize, usize),
-) -> Result<Option<(Image<Rgb>, Image<Validity>)>, PhotoError> {
+/// Variance and validity of every pixel.
+type Layers = (Image<Rgb>, Image<Validity>);
+
+/// The layers of a picture of that size; `None` if the file has neither.
+fn layers(path: &Path, size: (usize, usize)) -> Result<Option<Layers>, PhotoError> {
     let damaged = |cause: String| PhotoError::Picture { path: path.into(), cause };
     let (variance, validity) = match (read_layer(path, "variance")?, read_layer(path, "validity")?)
     {

@@ -152,7 +152,7 @@ impl Rows<'_> {
                 None => l,
             }
         };
-        let row = |(y, ((row, linear), clipped)): (usize, ((&[T], &mut [Rgb]), &mut [bool]))| {
+        let fill_row = |y: usize, row: &[T], linear: &mut [Rgb], clipped: &mut [bool]| {
             let mut bad = Bad::default();
             for (x, samples) in row.chunks_exact(channels).enumerate() {
                 let l = pixel(samples);
@@ -170,7 +170,7 @@ impl Rows<'_> {
             .zip(linear.par_chunks_exact_mut(width))
             .zip(clipped.par_chunks_exact_mut(width))
             .enumerate()
-            .map(row)
+            .map(|(y, ((row, linear), clipped))| fill_row(y, row, linear, clipped))
             .reduce(Bad::default, Bad::and);
         let coverage = |pixel: &[T]| {
             let a = (codes.coverage)(pixel[channels - 1]);
