@@ -34,7 +34,7 @@ pub struct Args {
 }
 
 pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
-    let shots = find_shots(&args.folders)?;
+    let shots = find_shots(&args.folders, args.out.as_deref())?;
     let options = RunOptions { skip_existing: args.skip_existing, stop: args.stop.keys()? };
     let terminal = Terminal::new(global);
     let tell = |result: &crate::shot::batch::ShotResult| {

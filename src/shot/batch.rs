@@ -2,6 +2,7 @@
 //!
 //! Folders → every `shot.toml` in or directly under them → [`run`](super::run::run) → a summary.
 
+use std::collections::{HashMap, HashSet};
 use std::io::Write;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
@@ -49,10 +50,20 @@ pub enum BatchError {
     Summary { path: PathBuf, cause: std::io::Error },
     #[error("{}: is found twice; name each shot once", .0.display())]
     Twice(PathBuf),
+    #[error(
+        "{} and {} would both write into {}; give their folders different names, or run them one by \
+         one with a --out each",
+        shots[0].display(), shots[1].display(), out.display()
+    )]
+    SameOut { shots: [PathBuf; 2], out: PathBuf },
 }
 
 /// The shot files in or directly under these folders, in the order of their names.
-pub fn find_shots(folders: &[PathBuf]) -> Result<Vec<PathBuf>, BatchError> {
+///
+/// # Errors
+/// A folder without shots; a shot found twice; two shots whose results would lie in one folder, where
+/// the second would replace the first. `out` is the folder of all results, see [`out_folder`].
+pub fn find_shots(folders: &[PathBuf], out: Option<&Path>) -> Result<Vec<PathBuf>, BatchError> {
     let mut shots = Vec::new();
     for folder in folders {
         let own = folder.join("shot.toml");
@@ -78,11 +89,36 @@ pub fn find_shots(folders: &[PathBuf]) -> Result<Vec<PathBuf>, BatchError> {
         below.sort();
         shots.append(&mut below);
     }
-    let mut sorted = shots.clone();
-    sorted.sort();
-    match sorted.windows(2).find(|pair| pair[0] == pair[1]) {
-        Some(pair) => Err(BatchError::Twice(pair[0].clone())),
-        None => Ok(shots),
+    refuse_collisions(&shots, out)?;
+    Ok(shots)
+}
+
+/// No shot twice, however its path is written, and no two shots with one folder for their results.
+fn refuse_collisions(shots: &[PathBuf], out: Option<&Path>) -> Result<(), BatchError> {
+    let mut seen = HashSet::new();
+    let mut written = HashMap::new();
+    for shot in shots {
+        let real = real_path(shot);
+        let folder = out_folder(&real, out);
+        if !seen.insert(real) {
+            return Err(BatchError::Twice(shot.clone()));
+        }
+        if let Some(other) = written.insert(folder, shot) {
+            let out = out_folder(shot, out);
+            return Err(BatchError::SameOut { shots: [other.clone(), shot.clone()], out });
+        }
+    }
+    Ok(())
+}
+
+/// The shot file in its folder's one true path. The file itself may be a link: the paths in it start
+/// from where the link lies.
+fn real_path(shot: &Path) -> PathBuf {
+    let folder = shot.parent().filter(|folder| !folder.as_os_str().is_empty());
+    let real = std::fs::canonicalize(folder.unwrap_or(Path::new(".")));
+    match (real, shot.file_name()) {
+        (Ok(folder), Some(name)) => folder.join(name),
+        _ => shot.to_owned(),
     }
 }
 
@@ -196,14 +232,48 @@ mod tests {
         for name in ["b", "a"] {
             std::fs::write(root.path().join(name).join("shot.toml"), "").unwrap();
         }
-        let all = find_shots(&[root.path().to_owned()]).unwrap();
+        let all = find_shots(&[root.path().to_owned()], None).unwrap();
         assert_eq!(all, [root.path().join("a/shot.toml"), root.path().join("b/shot.toml")]);
-        let one = find_shots(&[root.path().join("b")]).unwrap();
+        let one = find_shots(&[root.path().join("b")], None).unwrap();
         assert_eq!(one, [root.path().join("b/shot.toml")]);
-        assert!(matches!(find_shots(&[root.path().join("empty")]), Err(BatchError::NoShots(_))));
+        assert!(matches!(
+            find_shots(&[root.path().join("empty")], None),
+            Err(BatchError::NoShots(_))
+        ));
         let twice = [root.path().to_owned(), root.path().join("a")];
-        assert!(matches!(find_shots(&twice), Err(BatchError::Twice(_))));
-        assert!(find_shots(&[root.path().join("missing")]).is_err());
+        assert!(matches!(find_shots(&twice, None), Err(BatchError::Twice(_))));
+        assert!(find_shots(&[root.path().join("missing")], None).is_err());
+    }
+
+    #[test]
+    fn two_shots_that_would_write_into_one_folder_are_refused_with_both_names() {
+        let root = tempfile::tempdir().unwrap();
+        let folder = |name: &str| root.path().join(name).join("robot");
+        for name in ["x", "y"] {
+            std::fs::create_dir_all(folder(name)).unwrap();
+            std::fs::write(folder(name).join("shot.toml"), "").unwrap();
+        }
+        std::fs::write(folder("x").join("night.toml"), "").unwrap();
+        let both = [folder("x"), folder("y")];
+        assert_eq!(find_shots(&both, None).unwrap().len(), 2);
+        let said = find_shots(&both, Some(Path::new("bo"))).unwrap_err().to_string();
+        for part in ["x/robot/shot.toml", "y/robot/shot.toml", "bo/robot"] {
+            assert!(said.contains(part), "{said}");
+        }
+        // Two shot files of one folder share its out/.
+        let files = ["shot.toml", "night.toml"].map(|name| folder("x").join(name));
+        assert!(matches!(find_shots(&files, None), Err(BatchError::SameOut { .. })));
+    }
+
+    #[test]
+    fn a_shot_named_along_two_paths_is_found_twice() {
+        let root = tempfile::tempdir().unwrap();
+        for name in ["a", "b"] {
+            std::fs::create_dir(root.path().join(name)).unwrap();
+        }
+        std::fs::write(root.path().join("a/shot.toml"), "").unwrap();
+        let twice = [root.path().join("a"), root.path().join("b/../a")];
+        assert!(matches!(find_shots(&twice, None), Err(BatchError::Twice(_))));
     }
 
     #[test]
