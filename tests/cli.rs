@@ -6,6 +6,10 @@ use std::path::{Path, PathBuf};
 use std::process::Output;
 
 use assert_cmd::Command;
+use platelight::render::Context;
+use platelight::shot::ShotFile;
+use platelight::shot::run::{RunError, RunOptions, run_frames};
+use platelight::shot::watch::Silent;
 use tiny::{Plate, write_cube, write_shot};
 
 fn platelight(arguments: &[&str]) -> Output {
@@ -237,23 +241,58 @@ fn a_batch_of_bad_shots_is_exit_code_2_and_writes_nothing() {
     assert!(!folder.path().join("batch.json").exists());
 }
 
+/// A shot of frames 1001 to 1003 of which only `there` exist.
+fn write_sequence(folder: &Path, there: &[i64]) -> PathBuf {
+    let shot = write_shot(folder, Plate::ExrHalf, "");
+    for frame in there {
+        let name = folder.join(format!("plate.{frame}.exr"));
+        std::fs::copy(folder.join("plate.exr"), name).expect("a frame");
+    }
+    let single = std::fs::read_to_string(&shot).expect("shot");
+    let sequence = single.replace("\"plate.exr\"", "\"plate.####.exr\"\nframes = \"1001-1003\"");
+    std::fs::write(&shot, sequence).expect("shot");
+    shot
+}
+
 #[test]
 fn frames_of_a_sequence_are_run_one_by_one_and_a_missing_one_is_told() {
     let folder = tempfile::tempdir().expect("a folder");
-    let shot = write_shot(folder.path(), Plate::ExrHalf, "");
-    for frame in [1001, 1003] {
-        let name = folder.path().join(format!("plate.{frame}.exr"));
-        std::fs::copy(folder.path().join("plate.exr"), name).expect("a frame");
-    }
-    let text_of = std::fs::read_to_string(&shot).expect("shot");
-    let sequence = text_of.replace("\"plate.exr\"", "\"plate.####.exr\"\nframes = \"1001-1003\"");
-    std::fs::write(&shot, sequence).expect("shot");
+    write_sequence(folder.path(), &[1001, 1003]);
     let output = platelight(&["run", text(folder.path())]);
-    assert_eq!(output.status.code(), Some(1), "{}", stderr(&output));
-    assert!(stderr(&output).contains("plate.1002.exr"), "{}", stderr(&output));
+    let said = stderr(&output);
+    assert_eq!(output.status.code(), Some(1), "{said}");
+    assert!(said.contains("plate.1002.exr"), "{said}");
     assert!(folder.path().join("out/composite.1001.exr").is_file());
     assert!(!folder.path().join("out/composite.1002.exr").exists());
     assert!(folder.path().join("out/report.1003.json").is_file());
+}
+
+#[test]
+fn a_batch_counts_the_frames_that_failed_beside_those_that_are_done() {
+    let folder = tempfile::tempdir().expect("a folder");
+    write_sequence(&folder.path().join("shot"), &[1002, 1003]);
+    let output = platelight(&["batch", text(folder.path())]);
+    assert_eq!(output.status.code(), Some(1), "{}", stderr(&output));
+    let summary = std::fs::read(folder.path().join("batch.json")).expect("batch.json");
+    let summary: serde_json::Value = serde_json::from_slice(&summary).expect("JSON");
+    let shot = &summary["shots"][0];
+    assert_eq!(shot["status"], "part");
+    let counts = ["done", "skipped", "failed", "missing"].map(|key| shot["frames"][key].as_u64());
+    assert_eq!(counts, [2, 0, 1, 0].map(Some));
+    let problem = shot["problems"][0].as_str().expect("a problem");
+    assert!(problem.contains("plate.1001.exr"), "{problem}");
+}
+
+#[test]
+fn frames_that_a_cancelled_run_did_not_begin_are_told_as_interrupted() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let shot = ShotFile::read(&write_sequence(folder.path(), &[1001, 1002, 1003])).expect("a shot");
+    let context = Context::new(0);
+    context.cancel();
+    let out = folder.path().join("out");
+    let ended = run_frames(&shot, &out, &RunOptions::default(), &context, &Silent);
+    assert_eq!(ended.len(), 3);
+    assert!(ended.iter().all(|frame| matches!(frame, Err(RunError::Interrupted))));
 }
 
 #[test]
@@ -266,8 +305,7 @@ fn the_truth_shots_are_understood_as_they_are() {
             eprintln!("{} is not here; skipped", shot.display());
             return;
         }
-        let file =
-            platelight::shot::ShotFile::read(&shot).expect("the shot file is given and fixed");
+        let file = ShotFile::read(&shot).expect("the shot file is given and fixed");
         assert_eq!(file.objects.len(), 1);
     }
 }

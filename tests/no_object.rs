@@ -7,7 +7,7 @@ use std::path::Path;
 use platelight::photo::{self, Image, Photo, ReadOptions, Samples};
 use platelight::render::Context;
 use platelight::shot::ShotFile;
-use platelight::shot::run::{RunOptions, run};
+use platelight::shot::run::{RunOptions, run_frames};
 use platelight::shot::watch::Silent;
 use tiny::{HEIGHT, Plate, WIDTH, write_cube, write_shot};
 
@@ -15,8 +15,10 @@ const PLATES: [Plate; 4] = [Plate::ExrFloat, Plate::ExrHalf, Plate::Png16, Plate
 
 fn run_shot(shot: &Path, out: &Path, seed: u64) {
     let file = ShotFile::read(shot).expect("the shot file is right");
-    let finished = run(&file, out, &RunOptions::default(), &Context::new(seed), &Silent);
-    assert!(finished.expect("the shot runs").complete);
+    let context = Context::new(seed);
+    for finished in run_frames(&file, out, &RunOptions::default(), &context, &Silent) {
+        assert!(finished.expect("the shot runs").complete);
+    }
 }
 
 fn read(path: &Path, layer: Option<&str>) -> Photo {

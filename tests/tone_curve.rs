@@ -9,7 +9,7 @@ use platelight::photo::{self, Photo, ReadOptions, Samples, png};
 use platelight::render::Context;
 use platelight::shot::ShotFile;
 use platelight::shot::file::StopKeys;
-use platelight::shot::run::{RunOptions, run};
+use platelight::shot::run::{RunOptions, run_frames};
 use platelight::shot::watch::Silent;
 
 fn demo() -> PathBuf {
@@ -65,7 +65,10 @@ fn write_bent(folder: &Path, colour: &str) -> PathBuf {
 fn render(shot: &Path, out: &Path) -> (Photo, Photo) {
     let file = ShotFile::read(shot).expect("the shot file is right");
     let options = RunOptions { stop: Some(StopKeys::Samples(2)), ..RunOptions::default() };
-    run(&file, out, &options, &Context::new(1), &Silent).expect("the shot runs");
+    let context = Context::new(1);
+    for finished in run_frames(&file, out, &options, &context, &Silent) {
+        assert!(finished.expect("the shot runs").complete);
+    }
     let read = |layer: Option<&str>| {
         let options = ReadOptions { layer: layer.map(str::to_owned), ..ReadOptions::default() };
         photo::read(&out.join("composite.exr"), &options).unwrap()

@@ -16,8 +16,8 @@ Examples:
   platelight batch shots/robot shots/teapot --out renders --skip-existing
 
 Every shot's results go into out/ beside its shot file, or with --out into DIR/<name of its folder>.
-A summary goes to stdout and to batch.json. Exit code 0 if all shots are done, 1 if some failed, 2 if
-all failed or nothing could begin.")]
+A summary goes to stdout and to batch.json. Exit code 0 if all shots are done, 1 if some shots or
+frames failed, 2 if all failed or nothing could begin.")]
 pub struct Args {
     /// Folders that hold shot.toml, or folders of such folders
     #[arg(required = true)]
@@ -44,7 +44,8 @@ pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
         run_batch(&shots, args.out.as_deref(), &options, &global.context(), &terminal, tell);
     terminal.finish();
 
-    let failed = results.iter().filter(|r| r.status == Status::Failed).count();
+    let count = |status| results.iter().filter(|r| r.status == status).count();
+    let (failed, part) = (count(Status::Failed), count(Status::Part));
     let interrupted =
         results.len() < shots.len() || results.iter().any(|r| r.status == Status::Interrupted);
     // Nothing was written by shots that all failed, so no summary is either: exit code 2.
@@ -57,7 +58,7 @@ pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
         write_summary(&folder.join("batch.json"), &results)?;
     }
     global.print(&results, || table(&results));
-    Ok(match (interrupted, failed) {
+    Ok(match (interrupted, failed + part) {
         (true, _) => Outcome::Interrupted,
         (_, 0) => Outcome::Done,
         _ => Outcome::PartFailed,

@@ -1,6 +1,6 @@
 //! Many shots, one after the other: a bad one stops nothing and is not hidden.
 //!
-//! Folders → every `shot.toml` in or directly under them → [`run`](super::run::run) → a summary.
+//! Folders → every `shot.toml` in or directly under them → [`run_frames`] → a summary.
 
 use std::collections::{HashMap, HashSet};
 use std::io::Write;
@@ -11,7 +11,7 @@ use std::time::Instant;
 use serde::Serialize;
 
 use super::file::ShotFile;
-use super::run::{RunError, RunOptions, run};
+use super::run::{RunError, RunOptions, run_frames};
 use super::watch::Watch;
 use crate::photo::atomic;
 use crate::render::Context;
@@ -22,6 +22,7 @@ pub struct ShotResult {
     pub shot: PathBuf,
     pub out: PathBuf,
     pub status: Status,
+    pub frames: FrameCounts,
     /// What was wrong, each with file, key and remedy.
     pub problems: Vec<String>,
     /// How many warnings the shot's report holds.
@@ -35,8 +36,32 @@ pub enum Status {
     Done,
     /// Finished before, from the same inputs.
     Skipped,
+    /// Some frames failed, the others were written.
+    Part,
     Failed,
     Interrupted,
+}
+
+/// How the frames of a shot ended; a shot without a sequence is one frame.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct FrameCounts {
+    pub done: usize,
+    pub skipped: usize,
+    pub failed: usize,
+    /// Stopped by the user, before or while they were rendered.
+    pub missing: usize,
+}
+
+impl FrameCounts {
+    fn status(self) -> Status {
+        match self {
+            Self { missing: 1.., .. } => Status::Interrupted,
+            Self { failed: 1.., done: 0, skipped: 0, .. } => Status::Failed,
+            Self { failed: 1.., .. } => Status::Part,
+            Self { done: 0, skipped: 1.., .. } => Status::Skipped,
+            _ => Status::Done,
+        }
+    }
 }
 
 /// Why a batch could not begin, or its summary not be written.
@@ -165,31 +190,41 @@ fn run_one(
     let start = Instant::now();
     // A defect in one shot must not take the night's other shots with it. Nothing of a shot is
     // shared with the next.
-    let outcome = catch_unwind(AssertUnwindSafe(|| {
-        let file = ShotFile::read(shot).map_err(|e| RunError::Problems(vec![e.to_string()]))?;
-        run(&file, &out, options, context, watch)
+    let outcome = catch_unwind(AssertUnwindSafe(|| match ShotFile::read(shot) {
+        Ok(file) => run_frames(&file, &out, options, context, watch),
+        Err(error) => vec![Err(RunError::Problems(vec![error.to_string()]))],
     }));
-    let (status, problems, warnings) = match outcome {
-        Ok(Ok(finished)) => {
-            let status = match (finished.skipped, finished.complete) {
-                (true, _) => Status::Skipped,
-                (false, true) => Status::Done,
-                (false, false) => Status::Interrupted,
-            };
-            (status, Vec::new(), finished.warnings)
+    let ended = outcome.unwrap_or_else(|_| {
+        vec![Err(RunError::Problems(vec![format!(
+            "{}: a defect in platelight stopped this shot; please report it with the lines above",
+            shot.display()
+        )]))]
+    });
+    let mut frames = FrameCounts::default();
+    let (mut problems, mut warnings) = (Vec::new(), 0);
+    for frame in ended {
+        match frame {
+            Ok(finished) if finished.skipped => frames.skipped += 1,
+            Ok(finished) => {
+                let count = if finished.complete { &mut frames.done } else { &mut frames.missing };
+                *count += 1;
+                warnings += finished.warnings;
+            }
+            Err(RunError::Interrupted) => frames.missing += 1,
+            Err(error) => {
+                frames.failed += 1;
+                for problem in error.problems() {
+                    // What is wrong with the shot itself, every frame finds.
+                    if !problems.contains(&problem) {
+                        problems.push(problem);
+                    }
+                }
+            }
         }
-        Ok(Err(RunError::Interrupted)) => (Status::Interrupted, Vec::new(), 0),
-        Ok(Err(error)) => (Status::Failed, error.problems(), 0),
-        Err(_) => {
-            let sentence = format!(
-                "{}: a defect in platelight stopped this shot; please report it with the lines above",
-                shot.display()
-            );
-            (Status::Failed, vec![sentence], 0)
-        }
-    };
+    }
     let seconds = start.elapsed().as_secs_f64();
-    ShotResult { shot: shot.to_owned(), out, status, problems, warnings, seconds }
+    let (shot, status) = (shot.to_owned(), frames.status());
+    ShotResult { shot, out, status, frames, problems, warnings, seconds }
 }
 
 /// Writes batch.json.
@@ -207,7 +242,7 @@ pub fn table(results: &[ShotResult]) -> String {
     let mut lines =
         vec![format!("{:width$}  {:11}  {:>8}  {:>8}", "shot", "status", "seconds", "warnings")];
     for result in results {
-        let status = format!("{:?}", result.status).to_lowercase();
+        let status = status_of(result);
         lines.push(format!(
             "{:width$}  {status:11}  {:>8.1}  {:>8}",
             name(result),
@@ -217,6 +252,17 @@ pub fn table(results: &[ShotResult]) -> String {
         lines.extend(result.problems.iter().map(|problem| format!("    {problem}")));
     }
     lines.join("\n")
+}
+
+/// "done"; "part 46/48" where some frames are written and some not.
+fn status_of(result: &ShotResult) -> String {
+    let word = format!("{:?}", result.status).to_lowercase();
+    let FrameCounts { done, skipped, failed, missing } = result.frames;
+    let all = done + skipped + failed + missing;
+    match result.status {
+        Status::Part | Status::Interrupted if all > 1 => format!("{word} {}/{all}", done + skipped),
+        _ => word,
+    }
 }
 
 #[cfg(test)]
@@ -274,6 +320,19 @@ mod tests {
         std::fs::write(root.path().join("a/shot.toml"), "").unwrap();
         let twice = [root.path().join("a"), root.path().join("b/../a")];
         assert!(matches!(find_shots(&twice, None), Err(BatchError::Twice(_))));
+    }
+
+    #[test]
+    fn a_shot_is_as_far_as_its_frames_are() {
+        let counts = |done, skipped, failed, missing| {
+            FrameCounts { done, skipped, failed, missing }.status()
+        };
+        assert_eq!(counts(3, 1, 0, 0), Status::Done);
+        assert_eq!(counts(0, 4, 0, 0), Status::Skipped);
+        assert_eq!(counts(2, 0, 1, 0), Status::Part);
+        assert_eq!(counts(0, 2, 1, 0), Status::Part);
+        assert_eq!(counts(0, 0, 3, 0), Status::Failed);
+        assert_eq!(counts(2, 0, 1, 1), Status::Interrupted);
     }
 
     #[test]

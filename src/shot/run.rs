@@ -68,7 +68,8 @@ impl RunError {
     }
 }
 
-/// Runs a shot, or every frame of a sequence; one result for each.
+/// Runs a shot, or every frame of a sequence; one result for each, also for frames that were not
+/// begun because the run was cancelled.
 pub fn run_frames(
     shot: &ShotFile,
     out: &Path,
@@ -83,7 +84,8 @@ pub fn run_frames(
     let mut results = Vec::new();
     for frame in frames.iter() {
         if context.is_cancelled() {
-            break;
+            results.push(Err(RunError::Interrupted));
+            continue;
         }
         let mut single = shot.clone();
         single.plate.file = frame_name(&pattern, frame).into();
@@ -93,25 +95,6 @@ pub fn run_frames(
         results.push(run_one(single, &files, options, &seeded, watch));
     }
     results
-}
-
-/// Runs a shot; for a sequence the first failure is the result.
-pub fn run(
-    shot: &ShotFile,
-    out: &Path,
-    options: &RunOptions,
-    context: &Context,
-    watch: &dyn Watch,
-) -> Result<Finished, RunError> {
-    let mut all = Finished { report: None, complete: true, skipped: true, warnings: 0 };
-    for finished in run_frames(shot, out, options, context, watch) {
-        let finished = finished?;
-        all.complete &= finished.complete;
-        all.skipped &= finished.skipped;
-        all.warnings += finished.warnings;
-        all.report = finished.report.or(all.report);
-    }
-    Ok(all)
 }
 
 fn run_one(
