@@ -209,6 +209,27 @@ fn a_run_leaves_all_its_files_and_tells_json() {
 }
 
 #[test]
+fn an_edited_material_library_or_texture_is_not_skipped() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let cube = write_cube(folder.path(), 0.15);
+    let obj = folder.path().join("cube.obj");
+    let mesh = std::fs::read_to_string(&obj).expect("cube.obj");
+    std::fs::write(&obj, format!("mtllib a.mtl\nusemtl red\n{mesh}")).expect("cube.obj");
+    let library = folder.path().join("a.mtl");
+    std::fs::write(&library, "newmtl red\nKd 0.8 0 0\n").expect("a.mtl");
+    write_shot(folder.path(), Plate::Png8, &cube);
+    let run = || {
+        let output = platelight(&["run", text(folder.path()), "--skip-existing"]);
+        assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+        std::fs::read(folder.path().join("out/composite.png")).expect("a picture")
+    };
+    let red = run();
+    assert_eq!(run(), red);
+    std::fs::write(&library, "newmtl red\nKd 0 0 0.81\n").expect("a.mtl");
+    assert_ne!(run(), red, "the picture of before was kept");
+}
+
+#[test]
 fn one_bad_shot_stops_nothing_and_is_told() {
     let folder = tempfile::tempdir().expect("a folder");
     write_shot(&folder.path().join("a-good"), Plate::ExrFloat, "");

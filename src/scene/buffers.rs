@@ -4,7 +4,7 @@
 //! buffer and panic on short sparse data; here each accessor is judged and named.
 
 use std::borrow::Cow;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use gltf::accessor::sparse::IndexType;
 use gltf::accessor::{DataType, Dimensions};
@@ -302,6 +302,14 @@ impl<'a> Buffers<'a> {
 
 fn is_matrix(dimensions: Dimensions) -> bool {
     matches!(dimensions, Dimensions::Mat2 | Dimensions::Mat3 | Dimensions::Mat4)
+}
+
+/// The file beside `path` that a URI names; `None` if it holds its own bytes or names no such file.
+pub(super) fn named_file(path: &Path, uri: &str) -> Option<PathBuf> {
+    if uri.starts_with("data:") {
+        return None;
+    }
+    beside(path, &percent_decoded(uri).ok()?).ok()
 }
 
 /// The bytes a URI stands for: in itself (`data:`) or in a file beside `path`.

@@ -6,7 +6,7 @@
 //! cameras, lights and animations are left out. Nothing outside the file's own folder is opened.
 
 use std::collections::BTreeSet;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use glam::{DAffine3, DMat3, DMat4, DQuat, DVec3, Vec2, Vec3, Vec4};
 use gltf::Semantic;
@@ -15,7 +15,7 @@ use gltf::mesh::Mode;
 
 use super::assemble::{normal_matrix, transform_normals, transform_tangents, turned};
 use super::budget::Budget;
-use super::buffers::{Buffers, Container, MAX_ELEMENTS, split};
+use super::buffers::{Buffers, Container, MAX_ELEMENTS, named_file, split};
 use super::files::read_file;
 use super::gltf_material::MaterialReader;
 use super::{Model, ModelMesh, SceneError};
@@ -47,12 +47,22 @@ pub fn read(path: &Path) -> Result<Model, SceneError> {
         materials: MaterialReader::new(path, &document, &buffers),
         buffers: &buffers,
         material_numbers: Vec::new(),
-        model: Model { name, warnings, ..Model::default() },
+        model: Model { name, files: files(path, &document), warnings, ..Model::default() },
         n_vertices: 0,
     };
     reader.model.warnings.extend(extension_warnings);
     reader.scene(&document)?;
     Ok(reader.finish())
+}
+
+/// The file itself and those its buffers and images name.
+fn files(path: &Path, document: &gltf::Document) -> Vec<PathBuf> {
+    // The JSON itself: the crate's own reading of an image ends the program where it has no type.
+    let json = document.as_json();
+    let buffers = json.buffers.iter().filter_map(|buffer| buffer.uri.as_deref());
+    let images = json.images.iter().filter_map(|image| image.uri.as_deref());
+    let named = buffers.chain(images).filter_map(|uri| named_file(path, uri));
+    std::iter::once(path.to_owned()).chain(named).collect()
 }
 
 /// The validated document, and warnings about extensions that are used but not read.

@@ -265,6 +265,23 @@ fn files_outside_the_folder_are_not_opened() {
 }
 
 #[test]
+fn the_files_a_model_is_made_from_are_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("made.gltf");
+    let body = triangle("", POSITIONS, VIEW, ONE_NODE);
+    let json = format!(
+        r#"{{"asset":{{"version":"2.0"}},"scene":0,"scenes":[{{"nodes":[0]}}],
+            "buffers":[{{"byteLength":36,"uri":"corners%201.bin"}}],
+            "images":[{{"uri":"skin.png"}},{{"uri":"data:image/png;base64,AA"}}],{body}}}"#
+    );
+    std::fs::write(&path, json).unwrap();
+    let buffer = folder.path().join("corners 1.bin");
+    std::fs::write(&buffer, floats(&CORNERS)).unwrap();
+    let skin = folder.path().join("skin.png");
+    assert_eq!(read(&path).unwrap().files, [path, buffer, skin]);
+}
+
+#[test]
 fn required_extensions_that_are_not_read_are_named() {
     let more = format!(r#"{ONE_NODE},"extensionsRequired":["KHR_draco_mesh_compression"]"#);
     let body = triangle("", POSITIONS, VIEW, &more);

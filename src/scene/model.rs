@@ -1,6 +1,7 @@
 //! [`Model`]: a mesh file in memory, before it is placed.
 
 use std::collections::HashMap;
+use std::path::PathBuf;
 
 use glam::{DAffine3, DVec3, Vec2, Vec3, Vec4};
 
@@ -11,6 +12,9 @@ use super::{Material, SceneError, Texture};
 pub struct Model {
     /// The file's name without folder and extension.
     pub name: String,
+    /// Every file it is made from, the named one first: material libraries, buffers, pictures. Those
+    /// that were named and not found are among them, since the model changes when they appear.
+    pub files: Vec<PathBuf>,
     pub meshes: Vec<ModelMesh>,
     /// Never empty if `meshes` is not.
     pub materials: Vec<Material>,

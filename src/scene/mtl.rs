@@ -263,7 +263,9 @@ impl MaterialLibrary {
         let folder = library.parent().unwrap_or(Path::new("")).to_owned();
         let key = (folder, map.name.clone(), meaning, wrap);
         let texture = *self.read.entry(key).or_insert_with(|| {
-            match read_picture(library, &map.name, meaning, wrap) {
+            let path = picture_path(library, &map.name);
+            model.files.extend(path.clone());
+            match read_picture(path, meaning, wrap) {
                 Ok(texture) => {
                     model.textures.push(texture);
                     Some(model.textures.len() - 1)
@@ -283,20 +285,25 @@ impl MaterialLibrary {
 }
 
 /// The picture as named, or, since many libraries keep paths of another machine, by its last name
-/// beside the library.
+/// beside the library, if it is there.
+fn picture_path(library: &Path, name: &str) -> Result<PathBuf, String> {
+    let last = name.rsplit(['/', '\\']).next().unwrap_or(name);
+    let as_named = beside(library, name);
+    if as_named.as_ref().is_ok_and(|path| path.is_file()) {
+        return as_named;
+    }
+    beside(library, last).ok().filter(|path| path.is_file()).map_or(as_named, Ok)
+}
+
 fn read_picture(
-    library: &Path,
-    name: &str,
+    path: Result<PathBuf, String>,
     meaning: TexelMeaning,
     wrap: Wrap,
 ) -> Result<Texture, String> {
-    let last = name.rsplit(['/', '\\']).next().unwrap_or(name);
-    let as_named = beside(library, name).and_then(|path| {
-        if path.is_file() { Ok(path) } else { Err(format!("{} is not there", path.display())) }
-    });
-    let path = as_named.or_else(|problem| {
-        beside(library, last).ok().filter(|path| path.is_file()).ok_or(problem)
-    })?;
+    let path = path?;
+    if !path.is_file() {
+        return Err(format!("{} is not there", path.display()));
+    }
     let bytes = read_file(&path).map_err(|error| error.to_string())?;
     Texture::decode(&bytes, meaning, [wrap; 2])
 }

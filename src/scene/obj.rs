@@ -99,7 +99,7 @@ impl<'a> Reader<'a> {
             uvs: Vec::new(),
             normals: Vec::new(),
             library: MaterialLibrary::default(),
-            model: Model { name, ..Model::default() },
+            model: Model { name, files: vec![path.to_owned()], ..Model::default() },
             object: String::new(),
             material: None,
             meshes: HashMap::new(),
@@ -249,8 +249,11 @@ impl<'a> Reader<'a> {
     }
 
     fn material_library(&mut self, name: &str) {
-        let library = beside(self.path, name)
-            .and_then(|path| mtl::read(&path).map_err(|error| error.to_string()));
+        let library = beside(self.path, name).and_then(|path| {
+            let library = mtl::read(&path).map_err(|error| error.to_string());
+            self.model.files.push(path);
+            library
+        });
         match library {
             Ok(library) => self.library.merge(library),
             Err(problem) => self.model.warnings.push(format!(
@@ -481,6 +484,8 @@ mod tests {
         let files: [(&str, &[u8]); 2] = [("m.mtl", mtl), ("red below.png", &png)];
         let model = read_text(&obj, &files).unwrap();
         assert!(model.warnings.is_empty(), "{:?}", model.warnings);
+        let names: Vec<_> = model.files.iter().filter_map(|file| file.file_name()).collect();
+        assert_eq!(names[1..], ["m.mtl", "red below.png"], "what the model is made from");
         // OBJ v = 0.25 moved by +0.5 is 0.75: the upper, black row. glTF v = 1 − 0.25.
         let at = |v: f32| {
             let uvs = [Vec2::new(0.5, 1.0 - v); 2];

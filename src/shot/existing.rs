@@ -4,8 +4,11 @@ use std::path::Path;
 
 use super::write::FileMark;
 
-/// Whether the report at `report` tells of a complete run with these settings, seed and inputs, and
-/// all files it names are still as it left them.
+/// The program as reports name it. Another version may make another picture.
+pub const PROGRAM: &str = concat!("platelight ", env!("CARGO_PKG_VERSION"));
+
+/// Whether the report at `report` tells of a complete run by this version of the program with these
+/// settings, seed and inputs, and all files it names are still as it left them.
 pub fn is_complete(
     report: &Path,
     settings: &serde_json::Value,
@@ -20,6 +23,7 @@ pub fn is_complete(
         };
         let complete = report.pointer("/render/complete") == Some(&true.into());
         complete
+            && same("program", &PROGRAM.into())
             && same("shot", settings)
             && same("seed", &seed.into())
             && same("inputs", &inputs)
@@ -51,17 +55,19 @@ mod tests {
         std::fs::write(&output, "picture").unwrap();
         let inputs = [FileMark::of(&input).unwrap()];
         let report = folder.path().join("report.json");
-        let write = |complete: bool| {
+        let write = |complete: bool, program: &str| {
             let outputs = [FileMark::of(&output)];
-            let text = json!({ "shot": { "a": 1 }, "seed": 3, "inputs": inputs, "outputs": outputs,
+            let text = json!({ "program": program, "shot": { "a": 1 }, "seed": 3, "inputs": inputs, "outputs": outputs,
                 "render": { "complete": complete } });
             std::fs::write(&report, text.to_string()).unwrap();
         };
         let settings = json!({ "a": 1 });
         assert!(!is_complete(&report, &settings, 3, &inputs), "there is no report");
-        write(false);
+        write(false, PROGRAM);
         assert!(!is_complete(&report, &settings, 3, &inputs), "was stopped early");
-        write(true);
+        write(true, "platelight 0.0.1");
+        assert!(!is_complete(&report, &settings, 3, &inputs), "another version's");
+        write(true, PROGRAM);
         assert!(is_complete(&report, &settings, 3, &inputs));
         assert!(!is_complete(&report, &json!({ "a": 2 }), 3, &inputs), "other settings");
         assert!(!is_complete(&report, &settings, 4, &inputs), "other seed");

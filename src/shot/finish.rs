@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use super::budget;
+use super::existing;
 use super::plan::Plan;
 use super::prepare::Prepared;
 use super::run::{RunError, mode, wrong_size};
@@ -81,7 +82,7 @@ pub fn finish(
     }
     let budget = budget::budget(&prepared, &render);
     let report = Report {
-        program: concat!("platelight ", env!("CARGO_PKG_VERSION")).to_owned(),
+        program: existing::PROGRAM.to_owned(),
         shot: settings,
         seed,
         inputs: serde_json::to_value(&inputs).unwrap_or_default(),

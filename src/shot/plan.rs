@@ -89,7 +89,10 @@ impl Finder {
             model.check_place(world_from_model)?;
             Ok(model)
         });
-        self.keep(key, model)
+        let model = self.keep(key, model)?;
+        // The first of its files is the one named, and is an input already.
+        self.inputs.extend(model.files.iter().skip(1).cloned());
+        Some(model)
     }
 
     /// The value, or a problem. Room errors name their file.
