@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use serde::Serialize;
 
 use super::file::{ShotFile, StopKeys};
-use super::frames::frame_name;
+use super::frames::frame_path;
 use super::plan::Plan;
 use super::prepare::prepare;
 use super::run::RunError;
@@ -39,8 +39,7 @@ pub fn check(shot: &ShotFile, watch: &dyn Watch) -> Result<Findings, RunError> {
     let mut missing = Vec::new();
     let mut frames = 1;
     if let Some(list) = &shot.plate.frames {
-        let pattern = shot.plate.file.to_string_lossy();
-        let files: Vec<PathBuf> = list.iter().map(|n| frame_name(&pattern, n).into()).collect();
+        let files: Vec<PathBuf> = list.iter().map(|n| frame_path(&shot.plate.file, n)).collect();
         frames = files.len();
         missing = files
             .iter()

@@ -10,7 +10,7 @@ use std::time::Instant;
 use super::existing;
 use super::file::{Albedo, ModeKeys, ShotFile, StopKeys};
 use super::finish::{Finish, finish};
-use super::frames::frame_name;
+use super::frames::frame_path;
 use super::plan::Plan;
 use super::prepare::{Prepared, method_name, prepare};
 use super::watch::{Stopwatch, Watch, cpu_seconds};
@@ -80,7 +80,6 @@ pub fn run_frames(
     let Some(frames) = &shot.plate.frames else {
         return vec![run_one(shot.clone(), &OutFiles::new(out, None), options, context, watch)];
     };
-    let pattern = shot.plate.file.to_string_lossy();
     let mut results = Vec::new();
     for frame in frames.iter() {
         if context.is_cancelled() {
@@ -88,7 +87,7 @@ pub fn run_frames(
             continue;
         }
         let mut single = shot.clone();
-        single.plate.file = frame_name(&pattern, frame).into();
+        single.plate.file = frame_path(&shot.plate.file, frame);
         // Another seed each frame: a fixed pattern would stand still while the picture moves.
         let seeded = context.with_seed(context.seed ^ (frame as u64).wrapping_mul(0x9e37_79b9));
         let files = OutFiles::new(out, Some(frame));

@@ -236,7 +236,8 @@ const MTL: &str = "newmtl m\nKd 1 0.8 0.3\nKs 0.5 0.5 0.5\nNs 200\nNi 1.5\nd 0.9
                    Pr 0.2\nPm 1\nKe 0 0 0\nTf 1 1 1\nmap_Kd -s 2 2 1 missing.png\n";
 
 const SHOT: &str = r#"[plate]
-file = "plate.png"
+file = "plate.####.png"
+frames = "1001-1048x2,-7"
 exposure = { time_s = 0.0166, f_number = 8.0, iso = 100 }
 [camera]
 boards = "board_*.jpg"
