@@ -158,6 +158,42 @@ fn missing_files_are_told_together_and_nothing_is_written() {
 }
 
 #[test]
+fn a_plate_that_stands_for_several_files_is_refused_with_their_names() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let shot = write_shot(folder.path(), Plate::Png8, "");
+    std::fs::copy(folder.path().join("plate.png"), folder.path().join("plate2.png")).expect("copy");
+    let named = std::fs::read_to_string(&shot).expect("shot");
+    std::fs::write(&shot, named.replace("plate.png", "pl*.png")).expect("shot");
+    let output = platelight(&["run", text(folder.path())]);
+    assert_eq!(output.status.code(), Some(2));
+    let said = stderr(&output);
+    for part in ["plate.file", "plate.png", "plate2.png", "2 files"] {
+        assert!(said.contains(part), "{said}");
+    }
+    assert!(!folder.path().join("out").exists(), "something was written");
+}
+
+#[test]
+fn a_plate_without_a_place_is_one_problem_not_a_second_one_of_the_ball() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let shot = write_shot(folder.path(), Plate::Png8, "");
+    // The board stands nowhere in the plate.
+    let board = "board = { photo = \"plate.png\", kind = \"checkerboard\", corners = [9, 6], square_mm = 25.0, \
+                 at = [0, 0, 0], facing = [0, 1, 0], up = [0, 0, -1] }";
+    let ball = "ball = { photos = \"plate.png\", radius = 0.06, at = [0, 0.06, 0], \
+                reflectance = [0.6, 0.6, 0.6] }";
+    let named = std::fs::read_to_string(&shot).expect("shot");
+    let named = named
+        .replace("[pose]\nfile = \"camera.json\"", &format!("[pose]\n{board}"))
+        .replace("panorama = { file = \"panorama.exr\" }", ball);
+    std::fs::write(&shot, named).expect("shot");
+    let output = platelight(&["check", text(folder.path())]);
+    assert_eq!(output.status.code(), Some(2));
+    let said = stderr(&output);
+    assert!(said.contains("pose:") && !said.contains("no camera"), "{said}");
+}
+
+#[test]
 fn errors_are_json_too_when_asked() {
     let output = platelight(&["check", "nowhere", "--json"]);
     let json: serde_json::Value = serde_json::from_slice(&output.stdout).expect("JSON on stdout");

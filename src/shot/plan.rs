@@ -76,6 +76,22 @@ impl Finder {
         }
     }
 
+    /// The photograph a name stands for, or a pattern that only one file matches.
+    fn photo(&mut self, key: &str, name: &Path, colour: Option<NamedColour>) -> Option<Photo> {
+        let several = expand(name).ok().filter(|files| files.len() > 1);
+        if let Some(files) = several {
+            let names = files.iter().filter_map(|file| file.file_name()?.to_str());
+            let cause = format!(
+                "stands for {} files: {}; name one, or write #### and give frames",
+                files.len(),
+                names.collect::<Vec<_>>().join(", ")
+            );
+            self.problem(key, name, &cause);
+            return None;
+        }
+        self.photos(key, name, colour).pop()
+    }
+
     fn photos(&mut self, key: &str, pattern: &Path, colour: Option<NamedColour>) -> Vec<Photo> {
         let options = ReadOptions { colour, ..ReadOptions::default() };
         let read: Vec<_> =
@@ -156,7 +172,7 @@ impl Plan {
             PlateColour::Named(name) => name.parse().ok(),
             PlateColour::Auto | PlateColour::Bracket => None,
         };
-        let plate = find.photos("plate.file", &shot.plate.file, colour).pop();
+        let plate = find.photo("plate.file", &shot.plate.file, colour);
         find.camera("camera", &shot.camera.source);
         find.pose("pose", &shot.pose, &shot.camera);
         let relative = shot.plate.relative_exposure;
