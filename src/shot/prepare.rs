@@ -69,12 +69,16 @@ pub fn prepare(
     };
 
     stopwatch.begin("unwrap the probe", watch);
+    // A ball whose camera stands where the plate's does has none while that place is not found: one
+    // problem, not two.
+    let is_ball = matches!(shot.probe.source, ProbeSource::Ball(_));
     let unwrapped = match (bracket, ball_camera) {
-        (Ok(bracket), Ok(camera)) => light::unwrap(plan, bracket, camera),
         (Err(problem), _) | (_, Err(problem)) => Err(problem),
+        (Ok(_), Ok(None)) if is_ball && found_pose.is_err() => Ok(None),
+        (Ok(bracket), Ok(camera)) => light::unwrap(plan, bracket, camera).map(Some),
     };
     let (found_pose, unwrapped) = match (found_pose, unwrapped) {
-        (Ok(pose), Ok(unwrapped)) => (pose, unwrapped),
+        (Ok(pose), Ok(Some(unwrapped))) => (pose, unwrapped),
         (pose, unwrapped) => {
             return Err([pose.err(), unwrapped.err()].into_iter().flatten().collect());
         }
