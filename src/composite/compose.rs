@@ -8,7 +8,7 @@
 use rayon::prelude::*;
 
 use crate::conventions::Rgb;
-use crate::photo::{Image, Photo};
+use crate::photo::{Format, Image, Photo};
 use crate::render::Difference;
 
 /// How light that objects take from or give to the background reaches the plate.
@@ -112,7 +112,9 @@ impl Pixel {
     fn compose(plate: &Photo, d: &Difference, mode: Mode, i: usize) -> Self {
         let own = plate.linear.pixels()[i];
         let (coverage, object) = (d.coverage.pixels()[i], d.object.pixels()[i]);
-        let (additive, ratio) = (d.difference.pixels()[i], d.ratio.pixels()[i]);
+        // What is not there takes no light: alpha scales the difference as it scales the plate.
+        let alpha = straight_alpha(plate, i);
+        let (additive, ratio) = (d.difference.pixels()[i] * alpha, d.ratio.pixels()[i]);
         let untouched = Self {
             linear: own,
             change: Rgb::ZERO,
@@ -127,7 +129,7 @@ impl Pixel {
         if coverage == 0.0 && object == Rgb::ZERO && additive == Rgb::ZERO && ratio == Rgb::ZERO {
             return untouched;
         }
-        let premultiplied = own * straight_alpha(plate, i);
+        let premultiplied = own * alpha;
         let use_ratio = mode == Mode::Ratio && ratio != Rgb::ZERO;
         // Per channel: black plates and dark channels have a difference but no ratio.
         let by_ratio = ratio.cmpne(Rgb::ZERO);
@@ -144,7 +146,7 @@ impl Pixel {
         // A plate may hold negative values of its own (colours outside the gamut): those stay.
         let floor = premultiplied.min(Rgb::ZERO);
         let linear = sum.max(floor);
-        let alpha_out = coverage + (1.0 - coverage) * straight_alpha(plate, i);
+        let alpha_out = coverage + (1.0 - coverage) * alpha;
         Self {
             linear: if alpha_out > 0.0 { linear / alpha_out } else { linear },
             change,
@@ -169,11 +171,10 @@ impl Pixel {
 }
 
 /// Alpha that the plate's colour still has to be multiplied with: 1 for EXR, which is premultiplied,
-/// and for plates without alpha.
+/// and for plates without alpha. Every other format is straight, whatever its sample type.
 fn straight_alpha(plate: &Photo, i: usize) -> f32 {
-    use crate::photo::Samples;
-    match (&plate.alpha, &plate.samples) {
-        (Some(alpha), Samples::U8 { .. } | Samples::U16 { .. }) => alpha.pixels()[i],
+    match &plate.alpha {
+        Some(alpha) if plate.format != Format::Exr => alpha.pixels()[i],
         _ => 1.0,
     }
 }
@@ -270,6 +271,36 @@ mod tests {
         let composite = compose(&plate, &d, Mode::Ratio).unwrap();
         assert!((composite.linear[(0, 0)] - Vec3::new(-0.05, 0.25, 0.25)).length() < 1e-7);
         assert_eq!(composite.tally.negative, 0);
+    }
+
+    #[test]
+    fn alpha_is_premultiplied_in_exr_and_straight_in_every_other_format() {
+        let mut d = Difference::nothing(1, 1);
+        d.coverage[(0, 0)] = 0.25;
+        d.object[(0, 0)] = Vec3::splat(0.2);
+        d.difference[(0, 0)] = Vec3::splat(0.08);
+        d.ratio[(0, 0)] = Vec3::splat(-0.5);
+        for mode in [Mode::Additive, Mode::Ratio] {
+            let finished = |format, value: f32| {
+                let plate = Photo {
+                    format,
+                    alpha: Some(Image::filled(1, 1, 0.5)),
+                    ..Photo::from_linear(Image::filled(1, 1, Vec3::splat(value)))
+                };
+                compose(&plate, &d, mode).unwrap().linear[(0, 0)].x
+            };
+            let exr = finished(Format::Exr, 0.4);
+            let change = if mode == Mode::Additive { 0.08 } else { -0.5 * 0.4 };
+            assert!((exr - (0.2 + 0.75 * 0.4 + change)).abs() < 1e-6, "{mode:?}: {exr}");
+            // Float TIFF is straight as 16-bit TIFF is: half of the plate, half of its change.
+            let change = if mode == Mode::Additive { 0.5 * 0.08 } else { -0.5 * 0.5 * 0.4 };
+            let over_alpha = 0.25 + 0.75 * 0.5;
+            let expected = (0.2 + 0.75 * 0.5 * 0.4 + change) / over_alpha;
+            for format in [Format::Tiff, Format::Png] {
+                let straight = finished(format, 0.4);
+                assert!((straight - expected).abs() < 1e-6, "{mode:?} {format:?}: {straight}");
+            }
+        }
     }
 
     #[test]

@@ -9,7 +9,7 @@ use super::encode::Encoded;
 use super::{Composite, Mode};
 use crate::conventions::{Rgb, luminance};
 use crate::photo::exr_file::{ExrPicture, ExrSamples};
-use crate::photo::{Image, Photo, Primaries, Samples};
+use crate::photo::{Format, Image, Photo, Primaries, Samples};
 use crate::render::Difference;
 
 /// Layers that can be written beside the main picture, as `[output] layers` names them.
@@ -93,10 +93,21 @@ pub fn exr_picture(
 
 /// Primaries of the main picture and the colour layers.
 pub fn exr_primaries(plate: &Photo) -> Primaries {
-    match plate.samples {
-        Samples::F16 { .. } | Samples::F32 { .. } => plate.encoding.primaries,
-        Samples::U8 { .. } | Samples::U16 { .. } => Primaries::Rec709,
-    }
+    if is_exr(plate) { plate.encoding.primaries } else { Primaries::Rec709 }
+}
+
+fn is_exr(plate: &Photo) -> bool {
+    plate.format == Format::Exr
+}
+
+/// The grey sample of a float picture's pixel.
+fn grey_sample(samples: &Samples, pixel: usize) -> f32 {
+    let value = match samples {
+        Samples::F16 { channels, data } => data[pixel * channels].to_f32(),
+        Samples::F32 { channels, data } => data[pixel * channels],
+        Samples::U8 { .. } | Samples::U16 { .. } => 0.0,
+    };
+    finite(value)
 }
 
 /// How the mode is called in files.
@@ -117,46 +128,65 @@ struct Writer {
 }
 
 impl Writer {
-    /// R G B A: the plate's own samples for EXR plates, linear Rec.709 floats for all others.
+    /// R G B A, premultiplied: the plate's own samples for EXR plates, linear Rec.709 floats for all
+    /// others. A grey EXR becomes RGB, since objects have colours.
     fn main(&mut self, plate: &Photo, d: &Difference, composite: &Composite, encoded: &Encoded) {
-        let alpha_of = |i: usize| {
-            let plate_alpha = plate.alpha.as_ref().map_or(1.0, |a| a.pixels()[i]);
-            let covered = d.coverage.pixels()[i];
-            covered + (1.0 - covered) * plate_alpha
-        };
         let n = composite.linear.pixels().len();
         match &encoded.samples {
-            Samples::F16 { channels, data } if *channels >= 3 => {
-                for (c, name) in ["R", "G", "B", "A"].into_iter().enumerate() {
-                    let samples = if c < *channels {
-                        data.iter().skip(c).step_by(*channels).copied().collect()
-                    } else {
-                        vec![half::f16::ONE; n]
-                    };
-                    self.picture.push(name, ExrSamples::F16(samples));
-                }
+            Samples::F16 { channels, data } if is_exr(plate) && *channels >= 3 => {
+                self.rgba(data, *channels, half::f16::ONE, ExrSamples::F16);
             }
-            Samples::F32 { channels, data } if *channels >= 3 => {
-                for (c, name) in ["R", "G", "B", "A"].into_iter().enumerate() {
-                    let samples = if c < *channels {
-                        data.iter().skip(c).step_by(*channels).copied().collect()
-                    } else {
-                        vec![1.0; n]
-                    };
-                    self.picture.push(name, ExrSamples::F32(samples));
-                }
+            Samples::F32 { channels, data } if is_exr(plate) && *channels >= 3 => {
+                self.rgba(data, *channels, 1.0, ExrSamples::F32);
             }
             // FLOAT: half would round the plate's decoded values, and nothing may change them.
             _ => {
+                let alpha_of = |i: usize| {
+                    let plate_alpha = plate.alpha.as_ref().map_or(1.0, |a| a.pixels()[i]);
+                    let covered = d.coverage.pixels()[i];
+                    covered + (1.0 - covered) * plate_alpha
+                };
+                let colour = |i: usize| {
+                    let linear = composite.linear.pixels()[i];
+                    match plate.format {
+                        Format::Exr if composite.changed.pixels()[i] => self.encoded(plate, linear),
+                        // Grey is the same in all primaries; the way there and back would round it.
+                        Format::Exr => Rgb::splat(grey_sample(&plate.samples, i)),
+                        _ => linear * alpha_of(i),
+                    }
+                };
+                let colours: Vec<Rgb> = (0..n).map(colour).collect();
                 for (c, name) in ["R", "G", "B"].into_iter().enumerate() {
-                    let values = composite.linear.pixels().iter().enumerate();
-                    // EXR is premultiplied; integer files are straight.
-                    let values = values.map(|(i, l)| l.to_array()[c] * alpha_of(i));
-                    self.picture.push(name, ExrSamples::F32(values.collect()));
+                    let values = colours.iter().map(|l| l.to_array()[c]).collect();
+                    self.picture.push(name, ExrSamples::F32(values));
                 }
                 self.picture.push("A", ExrSamples::F32((0..n).map(alpha_of).collect()));
             }
         }
+    }
+
+    /// Interleaved R G B and perhaps A as channels; `one` is the alpha of a picture without.
+    fn rgba<T: Copy>(
+        &mut self,
+        data: &[T],
+        channels: usize,
+        one: T,
+        samples: fn(Vec<T>) -> ExrSamples,
+    ) {
+        for (c, name) in ["R", "G", "B", "A"].into_iter().enumerate() {
+            let values = if c < channels {
+                data.iter().skip(c).step_by(channels).copied().collect()
+            } else {
+                vec![one; data.len() / channels]
+            };
+            self.picture.push(name, samples(values));
+        }
+    }
+
+    /// A linear Rec.709 colour as the plate's file writes colours.
+    fn encoded(&self, plate: &Photo, linear: Rgb) -> Rgb {
+        let own = self.colour.map_or(linear, |matrix| (matrix * linear.as_dvec3()).as_vec3());
+        own.map(|l| plate.encoding.transfer.encode(l))
     }
 
     /// A colour layer, in the file's primaries.
@@ -205,6 +235,7 @@ fn finite(value: f32) -> f32 {
 mod tests {
     use super::*;
     use crate::composite::{compose, encode};
+    use crate::photo::{Encoding, EncodingSource, Transfer};
 
     fn picture(plate: &Photo, d: &Difference, layers: Option<&[String]>) -> ExrPicture {
         let composite = compose(plate, d, Mode::Ratio).unwrap();
@@ -241,9 +272,60 @@ mod tests {
         assert_eq!(names, ["R", "G", "B", "A", "Z"]);
     }
 
+    /// A plate of one pixel with alpha ½ and 0.4 as colour, one that an object covers by a quarter.
+    fn half_there(format: Format, samples: Samples) -> (Photo, Difference) {
+        let encoding = Encoding {
+            transfer: Transfer::Linear,
+            primaries: Primaries::AcesCg,
+            source: EncodingSource::Header,
+        };
+        let plate = Photo {
+            format,
+            encoding,
+            samples,
+            alpha: Some(Image::filled(1, 1, 0.5)),
+            ..Photo::from_linear(Image::filled(1, 1, Rgb::splat(0.4)))
+        };
+        let mut d = Difference::nothing(1, 1);
+        d.coverage[(0, 0)] = 0.25;
+        d.object[(0, 0)] = Rgb::new(0.2, 0.1, 0.05);
+        (plate, d)
+    }
+
+    fn values(picture: &ExrPicture) -> [f32; 4] {
+        ["R", "G", "B", "A"].map(|name| match channel(picture, name) {
+            ExrSamples::F32(values) => values[0],
+            other => panic!("{name} is {other:?}"),
+        })
+    }
+
+    #[test]
+    fn a_grey_exr_with_alpha_is_premultiplied_once_and_in_its_own_primaries() {
+        let samples = Samples::F32 { channels: 2, data: vec![0.4, 0.5] };
+        let (plate, d) = half_there(Format::Exr, samples);
+        let own = values(&picture(&plate, &Difference::nothing(1, 1), None));
+        assert_eq!(own, [0.4, 0.4, 0.4, 0.5], "nothing changed it");
+        let found = values(&picture(&plate, &d, None));
+        let rec709 = Rgb::new(0.2, 0.1, 0.05) + 0.75 * 0.4;
+        let to_file = Primaries::AcesCg.rec709_from_rgb().unwrap().inverse();
+        let expected = (to_file * rec709.as_dvec3()).as_vec3().extend(0.25 + 0.75 * 0.5);
+        assert!((expected - glam::Vec4::from(found)).abs().max_element() < 1e-6, "{found:?}");
+    }
+
+    #[test]
+    fn a_straight_float_tiff_is_written_premultiplied_in_rec709() {
+        let samples = Samples::F32 { channels: 4, data: vec![0.4, 0.4, 0.4, 0.5] };
+        let (plate, d) = half_there(Format::Tiff, samples);
+        let found = values(&picture(&plate, &d, None));
+        let expected = (Rgb::new(0.2, 0.1, 0.05) + 0.75 * 0.5 * 0.4).extend(0.25 + 0.75 * 0.5);
+        assert!((expected - glam::Vec4::from(found)).abs().max_element() < 1e-6, "{found:?}");
+        assert_eq!(exr_primaries(&plate), Primaries::Rec709);
+    }
+
     #[test]
     fn layers_of_a_half_plate_are_half_unless_they_need_more() {
         let plate = Photo {
+            format: Format::Exr,
             samples: Samples::F16 { channels: 3, data: vec![half::f16::ONE; 3] },
             ..Photo::from_linear(Image::filled(1, 1, Rgb::ONE))
         };
