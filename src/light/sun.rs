@@ -6,7 +6,7 @@
 
 use std::f32::consts::PI;
 
-use glam::{DVec2, DVec3, Vec3};
+use glam::{DQuat, DVec2, DVec3, Vec3};
 
 use crate::bracket::Validity;
 use crate::conventions::{Rgb, SUN_HALF_ANGLE_RAD, lat_long_direction, lat_long_solid_angle};
@@ -138,11 +138,7 @@ pub fn split(panorama: &Panorama, policy: SunSplit) -> (Image<Rgb>, Vec<Disc>) {
     }
     let discs = clusters
         .iter()
-        .filter_map(|cluster| {
-            let disc = lift(&mut radiance, cluster)?;
-            let direction = panorama.world_from_panorama * disc.direction.as_dvec3();
-            Some(Disc { direction: direction.as_vec3().normalize(), ..disc })
-        })
+        .filter_map(|cluster| lift(&mut radiance, cluster, panorama.world_from_panorama))
         .collect();
     (radiance, discs)
 }
@@ -223,8 +219,8 @@ fn robust_mean(radiance: &Image<Rgb>, values: &[f32]) -> f32 {
     if area > 0.0 { (sum / area) as f32 } else { 0.0 }
 }
 
-/// Takes a cluster and its blurred skirt out of the picture and returns it as a disc (map axes).
-fn lift(radiance: &mut Image<Rgb>, cluster: &Cluster) -> Option<Disc> {
+/// Takes a cluster and its blurred skirt out of the picture and returns it as a disc (world axes).
+fn lift(radiance: &mut Image<Rgb>, cluster: &Cluster, world_from_map: DQuat) -> Option<Disc> {
     let (w, h) = (radiance.width(), radiance.height());
     // Resampling spreads a light over its neighbours: two rings belong to it, the third is sky.
     let mut inside = cluster.texels.clone();
@@ -252,7 +248,7 @@ fn lift(radiance: &mut Image<Rgb>, cluster: &Cluster) -> Option<Disc> {
         centroid += lat_long_direction(DVec2::new((t % w) as f64, (t / w) as f64), w, h)
             * power.element_sum();
     }
-    let direction = centroid.try_normalize()?;
+    let direction = world_from_map * centroid.try_normalize()?;
     for &t in &inside {
         let l = radiance.pixels()[t];
         radiance.pixels_mut()[t] = l.min(fill);
@@ -263,8 +259,11 @@ fn lift(radiance: &mut Image<Rgb>, cluster: &Cluster) -> Option<Disc> {
     let own = (cluster.core_sr / std::f64::consts::PI).sqrt();
     let is_sun = direction.y > 0.0 && own <= SUN_HALF_ANGLE_RAD + 1.5 * texel_rad;
     let half_angle = if is_sun { SUN_HALF_ANGLE_RAD } else { own.min(0.5) };
-    let mut disc =
-        Disc { direction: direction.as_vec3(), half_angle: half_angle as f32, radiance: Rgb::ZERO };
+    let mut disc = Disc {
+        direction: direction.as_vec3().normalize(),
+        half_angle: half_angle as f32,
+        radiance: Rgb::ZERO,
+    };
     disc.radiance = flux.as_vec3() / disc.solid_angle();
     Some(disc)
 }
@@ -324,6 +323,19 @@ mod tests {
         assert!(off < 0.05, "{off} degrees off");
         assert!((f64::from(discs[0].half_angle) - SUN_HALF_ANGLE_RAD).abs() < 1e-8);
         assert!(rest.pixels().iter().all(|l| l.x < 1.5), "no skirt is left in the sky");
+    }
+
+    #[test]
+    fn what_is_up_is_asked_in_the_world_not_in_a_tilted_map() {
+        // Half a turn about X: the map's lower half is the sky.
+        let mut place = panorama(with_sun(512, 256, 130.3, 255.0 - 60.8));
+        place.world_from_panorama = DQuat::from_rotation_x(std::f64::consts::PI);
+        let (_, discs) = split(&place, SunSplit::Auto);
+        assert!(discs[0].direction.y > 0.5);
+        assert!((f64::from(discs[0].half_angle) - SUN_HALF_ANGLE_RAD).abs() < 1e-8);
+        place.world_from_panorama = DQuat::IDENTITY;
+        let (_, discs) = split(&place, SunSplit::Auto);
+        assert!(f64::from(discs[0].half_angle) > 1.1 * SUN_HALF_ANGLE_RAD, "a lamp, not a sun");
     }
 
     #[test]
