@@ -104,20 +104,24 @@ fn round_length(length: f64) -> f64 {
 }
 
 fn panorama(prepared: &Prepared) -> Overlay {
-    let panorama = &prepared.light.panorama;
-    let width = panorama.width().min(1024);
-    let step = (panorama.width() / width).max(1);
-    let small = Image::from_fn(width, panorama.height() / step, |x, y| {
-        panorama.radiance[(x * step, y * step)]
-    });
     Overlay {
         name: "overlay_panorama",
         title: "The panorama, in the plate's exposure",
         caption: "Lat-long, seen from inside: +Z in the middle, +X a quarter from the left, up is up. \
                   Lights taken out and sampled on their own are filled from their surroundings.",
-        canvas: Canvas::new(&small),
+        canvas: Canvas::new(&thinned(&prepared.light.panorama.radiance)),
     }
 }
+
+/// Every n-th pixel of every n-th row, so that it is at most [`MAX_WIDTH`] wide: the whole picture.
+fn thinned(picture: &Image<Rgb>) -> Image<Rgb> {
+    let step = picture.width().div_ceil(MAX_WIDTH).max(1);
+    let (width, height) = (picture.width().div_ceil(step), picture.height().div_ceil(step));
+    Image::from_fn(width, height, |x, y| picture[(x * step, y * step)])
+}
+
+/// The report shows the panorama no wider than this.
+const MAX_WIDTH: usize = 1024;
 
 /// The photograph, lifted so that its bright part is near white.
 fn bright(photo: &Photo) -> Image<Rgb> {
@@ -135,6 +139,17 @@ fn bright(photo: &Photo) -> Image<Rgb> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_thinned_picture_shows_all_of_it() {
+        for (width, expected) in [(2000, 1000), (1024, 1024), (1025, 513), (4096, 1024), (1, 1)] {
+            let picture = Image::from_fn(width, 4, |x, _| Rgb::splat(x as f32));
+            let thin = thinned(&picture);
+            assert_eq!(thin.width(), expected);
+            let last = thin[(expected - 1, 0)].x as usize;
+            assert!(width - last <= width.div_ceil(MAX_WIDTH), "column {last} of {width}");
+        }
+    }
 
     #[test]
     fn lengths_round_to_1_2_5() {
