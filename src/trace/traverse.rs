@@ -25,21 +25,14 @@ pub(super) struct Found {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Simd {
     Scalar,
-    /// Holds only where AVX2 and FMA were detected: made by [`Simd::choose`] alone.
+    /// Holds only where AVX2 and FMA were detected: made by [`Simd::detect`] alone.
     #[cfg(target_arch = "x86_64")]
     Avx2,
 }
 
 impl Simd {
-    /// The best this processor has, or the plain one if `PLATELIGHT_SIMD=scalar` is set.
+    /// The best this processor has.
     pub fn detect() -> Self {
-        Self::choose(std::env::var("PLATELIGHT_SIMD").ok().as_deref())
-    }
-
-    fn choose(wish: Option<&str>) -> Self {
-        if wish == Some("scalar") {
-            return Self::Scalar;
-        }
         #[cfg(target_arch = "x86_64")]
         if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
             return Self::Avx2;
@@ -232,19 +225,4 @@ fn occluded_loop<K: Kernel>(
         }
     }
     false
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn scalar_can_be_asked_for_and_anything_else_takes_the_best() {
-        assert_eq!(Simd::choose(Some("scalar")), Simd::Scalar);
-        assert_eq!(Simd::choose(Some("")), Simd::choose(None));
-        #[cfg(target_arch = "x86_64")]
-        if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
-            assert_eq!(Simd::choose(None), Simd::Avx2);
-        }
-    }
 }
