@@ -42,13 +42,12 @@ pub struct Environment {
     row_cosines: Vec<f64>,
     world_from_map: Mat3,
     map_from_world: Mat3,
-    repaired: usize,
 }
 
 impl Environment {
     /// Prepares `radiance` (lat-long, `conventions`); `world_from_map` turns its axes into the world.
     ///
-    /// NaN, infinite and negative channels become 0 and are counted. Any size with a texel is legal.
+    /// NaN, infinite and negative channels become 0. Any size with a texel is legal.
     pub fn new(
         radiance: &Image<Rgb>,
         world_from_map: DQuat,
@@ -58,16 +57,8 @@ impl Environment {
         if width == 0 || height == 0 {
             return Err(LightError::Empty { width, height });
         }
-        let mut repaired = 0;
-        let mut texels: Vec<Vec4> = radiance
-            .pixels()
-            .iter()
-            .map(|&l| {
-                let clean = repair(l);
-                repaired += usize::from(clean != l);
-                clean.extend(0.0)
-            })
-            .collect();
+        let mut texels: Vec<Vec4> =
+            radiance.pixels().iter().map(|&l| repair(l).extend(0.0)).collect();
         let table = fill_densities(&mut texels, width, height, compensated);
         let rotation = DMat3::from_quat(world_from_map.normalize());
         Ok(Self {
@@ -78,28 +69,20 @@ impl Environment {
             row_cosines: row_cosines(height),
             world_from_map: rotation.as_mat3(),
             map_from_world: rotation.transpose().as_mat3(),
-            repaired,
         })
     }
 
     /// The same radiance from everywhere.
     pub fn constant(radiance: Rgb) -> Self {
-        let texel = repair(radiance);
         Self {
             width: 1,
             height: 1,
-            texels: vec![texel.extend(0.0)],
+            texels: vec![repair(radiance).extend(0.0)],
             table: None,
             row_cosines: row_cosines(1),
             world_from_map: Mat3::IDENTITY,
             map_from_world: Mat3::IDENTITY,
-            repaired: usize::from(texel != radiance),
         }
-    }
-
-    /// How many texels were NaN, infinite or negative and have been repaired.
-    pub fn repaired(&self) -> usize {
-        self.repaired
     }
 
     /// False if the table is empty: then only BSDF sampling finds this light.
@@ -246,7 +229,7 @@ impl Environment {
 }
 
 /// NaN, infinite and negative channels become 0.
-fn repair(l: Rgb) -> Rgb {
+pub(super) fn repair(l: Rgb) -> Rgb {
     l.map(|c| if c.is_finite() && c > 0.0 { c } else { 0.0 })
 }
 
@@ -449,13 +432,12 @@ mod tests {
     }
 
     #[test]
-    fn bad_texels_are_repaired_and_counted() {
+    fn bad_texels_are_dark() {
         let mut picture = Image::filled(8, 4, Rgb::ONE);
         picture[(0, 0)] = Rgb::new(f32::NAN, 1.0, 1.0);
         picture[(3, 2)] = Rgb::new(1.0, f32::INFINITY, 1.0);
         picture[(7, 3)] = Rgb::new(-1.0, 1.0, 1.0);
         let env = environment(&picture, true);
-        assert_eq!(env.repaired(), 3);
         assert!(env.irradiance(DVec3::Y).is_finite());
     }
 

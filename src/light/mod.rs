@@ -18,6 +18,7 @@ use glam::{DVec2, Vec3};
 
 use crate::conventions::Rgb;
 use crate::probe::Panorama;
+use sun::Split;
 
 /// A direction drawn toward a light.
 #[derive(Clone, Copy, Debug)]
@@ -64,6 +65,8 @@ pub enum LightError {
 pub struct Lights {
     pub environment: Environment,
     pub suns: Vec<Disc>,
+    /// Texels of the panorama with a channel that was NaN, infinite or negative; it counts as 0.
+    pub repaired: usize,
     /// Running sums of the suns' shares of the sun stratum; the last is 1.
     sun_sums: Vec<f32>,
 }
@@ -71,10 +74,10 @@ pub struct Lights {
 impl Lights {
     /// Splits suns off `panorama` as `options` say and prepares the rest for sampling.
     pub fn new(panorama: &Panorama, options: &LightOptions) -> Result<Self, LightError> {
-        let (radiance, suns) = sun::split(panorama, options.suns);
+        let Split { radiance, discs, repaired } = sun::split(panorama, options.suns);
         let environment =
             Environment::new(&radiance, panorama.world_from_panorama, options.compensated)?;
-        Ok(Self::from_parts(environment, suns))
+        Ok(Self { repaired, ..Self::from_parts(environment, discs) })
     }
 
     /// Lights from an environment and suns that are not part of it.
@@ -92,13 +95,13 @@ impl Lights {
         if let Some(last) = sun_sums.last_mut() {
             *last = 1.0;
         }
-        Self { environment, suns, sun_sums }
+        Self { environment, suns, repaired: 0, sun_sums }
     }
 
     /// The same lights and more discs, say a sun recovered from the plate.
     pub fn with_discs(mut self, discs: impl IntoIterator<Item = Disc>) -> Self {
         self.suns.extend(discs);
-        Self::from_parts(self.environment, self.suns)
+        Self { repaired: self.repaired, ..Self::from_parts(self.environment, self.suns) }
     }
 
     /// How many draws a renderer takes for one look at the lights: 0, 1 or 2.

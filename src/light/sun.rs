@@ -8,6 +8,7 @@ use std::f32::consts::PI;
 
 use glam::{DQuat, DVec2, DVec3, Vec3};
 
+use super::environment::repair;
 use crate::bracket::Validity;
 use crate::conventions::{Rgb, SUN_HALF_ANGLE_RAD, lat_long_direction, lat_long_solid_angle};
 use crate::photo::Image;
@@ -116,16 +117,32 @@ struct Cluster {
     clipped: bool,
 }
 
-/// Panorama without the clusters that become discs, and the discs (world axes).
+/// A panorama without the clusters that became discs.
+pub struct Split {
+    /// Finite, not negative.
+    pub radiance: Image<Rgb>,
+    /// World axes.
+    pub discs: Vec<Disc>,
+    /// Texels with a channel that was NaN, infinite or negative and is 0 now.
+    pub repaired: usize,
+}
+
+/// Takes the clusters that are better lights of their own out of a panorama.
 ///
 /// Flux is conserved per channel: the disc holds what the filled-in texels lost.
-pub fn split(panorama: &Panorama, policy: SunSplit) -> (Image<Rgb>, Vec<Disc>) {
-    let mut radiance =
-        panorama.radiance.map(|l| l.map(|c| if c.is_finite() && c > 0.0 { c } else { 0.0 }));
+pub fn split(panorama: &Panorama, policy: SunSplit) -> Split {
+    let mut radiance = panorama.radiance.map(|&l| repair(l));
+    let pairs = radiance.pixels().iter().zip(panorama.radiance.pixels());
+    let repaired = pairs.filter(|(clean, own)| clean != own).count();
+    let discs = lift_clusters(&mut radiance, panorama, policy);
+    Split { radiance, discs, repaired }
+}
+
+fn lift_clusters(radiance: &mut Image<Rgb>, panorama: &Panorama, policy: SunSplit) -> Vec<Disc> {
     if policy == SunSplit::Never {
-        return (radiance, Vec::new());
+        return Vec::new();
     }
-    let mut clusters = find_clusters(&radiance, &panorama.validity);
+    let mut clusters = find_clusters(radiance, &panorama.validity);
     clusters.sort_by(|a, b| b.flux.total_cmp(&a.flux));
     clusters.truncate(MOST_DISCS);
     let texel_rad = std::f64::consts::TAU / radiance.width() as f64;
@@ -134,13 +151,10 @@ pub fn split(panorama: &Panorama, policy: SunSplit) -> (Image<Rgb>, Vec<Disc>) {
         || texel_rad > SUN_HALF_ANGLE_RAD
         || clusters.iter().any(|c| c.clipped);
     if !wanted {
-        return (radiance, Vec::new());
+        return Vec::new();
     }
-    let discs = clusters
-        .iter()
-        .filter_map(|cluster| lift(&mut radiance, cluster, panorama.world_from_panorama))
-        .collect();
-    (radiance, discs)
+    let lifted = clusters.iter().map(|c| lift(radiance, c, panorama.world_from_panorama));
+    lifted.flatten().collect()
 }
 
 fn solid_angle_of(radiance: &Image<Rgb>, texel: usize) -> f64 {
@@ -311,8 +325,8 @@ mod tests {
     fn splitting_keeps_the_flux_and_the_direction() {
         let picture = with_sun(512, 256, 130.3, 60.8);
         let place = panorama(picture.clone());
-        let (rest, discs) = split(&place, SunSplit::Auto);
-        assert_eq!(discs.len(), 1);
+        let Split { radiance: rest, discs, repaired } = split(&place, SunSplit::Auto);
+        assert_eq!((discs.len(), repaired), (1, 0));
         let whole = Environment::new(&picture, place.world_from_panorama, true).unwrap().flux();
         let remains = Environment::new(&rest, place.world_from_panorama, true).unwrap().flux();
         let disc = discs[0].radiance.as_dvec3() * f64::from(discs[0].solid_angle());
@@ -330,30 +344,32 @@ mod tests {
         // Half a turn about X: the map's lower half is the sky.
         let mut place = panorama(with_sun(512, 256, 130.3, 255.0 - 60.8));
         place.world_from_panorama = DQuat::from_rotation_x(std::f64::consts::PI);
-        let (_, discs) = split(&place, SunSplit::Auto);
+        let discs = split(&place, SunSplit::Auto).discs;
         assert!(discs[0].direction.y > 0.5);
         assert!((f64::from(discs[0].half_angle) - SUN_HALF_ANGLE_RAD).abs() < 1e-8);
         place.world_from_panorama = DQuat::IDENTITY;
-        let (_, discs) = split(&place, SunSplit::Auto);
+        let discs = split(&place, SunSplit::Auto).discs;
         assert!(f64::from(discs[0].half_angle) > 1.1 * SUN_HALF_ANGLE_RAD, "a lamp, not a sun");
     }
 
     #[test]
     fn smooth_skies_and_darkness_are_not_split() {
         let smooth = Image::from_fn(64, 32, |_, j| Rgb::splat(1.0 + j as f32));
-        assert!(split(&panorama(smooth), SunSplit::Always).1.is_empty());
-        assert!(split(&panorama(Image::filled(8, 4, Rgb::ZERO)), SunSplit::Always).1.is_empty());
+        assert!(split(&panorama(smooth), SunSplit::Always).discs.is_empty());
+        assert!(
+            split(&panorama(Image::filled(8, 4, Rgb::ZERO)), SunSplit::Always).discs.is_empty()
+        );
         let one = Image::filled(1, 1, Rgb::ONE);
-        assert!(split(&panorama(one), SunSplit::Always).1.is_empty());
+        assert!(split(&panorama(one), SunSplit::Always).discs.is_empty());
         let sun = with_sun(512, 256, 130.0, 60.0);
-        assert!(split(&panorama(sun), SunSplit::Never).1.is_empty());
+        assert!(split(&panorama(sun), SunSplit::Never).discs.is_empty());
     }
 
     #[test]
     fn a_fine_unclipped_sun_stays_in_the_map_unless_asked() {
         let sun = panorama(with_sun(2048, 1024, 700.0, 300.0));
-        assert!(split(&sun, SunSplit::Auto).1.is_empty());
-        assert_eq!(split(&sun, SunSplit::Always).1.len(), 1);
+        assert!(split(&sun, SunSplit::Auto).discs.is_empty());
+        assert_eq!(split(&sun, SunSplit::Always).discs.len(), 1);
     }
 
     #[test]
@@ -362,7 +378,7 @@ mod tests {
             let sun = if (i == 0 || i == 511) && j == 80 { 50_000.0 } else { 0.0 };
             Rgb::splat(1.0 + sun)
         });
-        assert_eq!(split(&panorama(picture), SunSplit::Auto).1.len(), 1);
+        assert_eq!(split(&panorama(picture), SunSplit::Auto).discs.len(), 1);
     }
 
     #[test]

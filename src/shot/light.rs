@@ -232,8 +232,8 @@ pub fn light(
     let found = Lights::new(&panorama, &options)
         .map_err(|error| format!("{}: probe: {error}", plan.shot.path.display()))?;
     let sigma_sun = suns.iter().map(|(_, sigma)| *sigma).reduce(f64::max);
-    let all_suns = found.suns.iter().copied().chain(suns.into_iter().map(|(disc, _)| disc));
-    let lights = Lights::from_parts(found.environment.clone(), all_suns.collect());
+    let lights = found.with_discs(suns.into_iter().map(|(disc, _)| disc));
+    warnings.extend(repaired_warning(&lights, &panorama));
 
     let lights_report = LightsReport {
         irradiance_up: lights.irradiance(glam::Vec3::Y).as_dvec3().to_array(),
@@ -243,6 +243,18 @@ pub fn light(
     let light =
         Light { panorama, lights, ball, sigma_irradiance, sigma_sun, has_reflectance, warnings };
     Ok((light, report, lights_report))
+}
+
+/// Texels that are no light would otherwise become shadows without a word.
+fn repaired_warning(lights: &Lights, panorama: &Panorama) -> Option<Warning> {
+    (lights.repaired > 0).then(|| {
+        let all = panorama.radiance.pixels().len();
+        Warning::new(
+            "probe",
+            "parts of the panorama are NaN, infinite or negative, which is no light; they count as black",
+            format!("{} of {all} texels", lights.repaired),
+        )
+    })
 }
 
 /// Errs on, accepts or recovers clipped lights; returns recovered suns with their relative σ.
@@ -427,6 +439,19 @@ mod tests {
             let warning = misplaced(off, &found).expect("far off").to_string();
             assert!(warning.contains("300, 200") && warning.contains("probe.ball.at"), "{warning}");
         }
+    }
+
+    #[test]
+    fn texels_that_are_no_light_are_counted_and_told() {
+        let mut panorama = Panorama::from_radiance(Image::filled(64, 32, Rgb::ONE));
+        let said = |panorama: &Panorama| {
+            let lights = Lights::new(panorama, &LightOptions::default()).unwrap();
+            repaired_warning(&lights, panorama)
+        };
+        assert_eq!(said(&panorama), None);
+        panorama.radiance[(3, 4)] = Rgb::new(f32::NAN, 1.0, 1.0);
+        panorama.radiance[(9, 30)] = Rgb::new(1.0, -0.1, f32::INFINITY);
+        assert_eq!(said(&panorama).unwrap().size, "2 of 2048 texels");
     }
 
     #[test]

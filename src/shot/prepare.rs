@@ -18,6 +18,7 @@ use crate::camera::{Camera, Distortion};
 use crate::render::Method;
 use crate::report::{CameraReport, LightsReport, PoseReport, ProbeReport, Warning};
 use crate::scene::Scene;
+use crate::trace::accel::lost_triangles;
 
 /// What a shot is rendered from, and how well it is known.
 pub struct Prepared {
@@ -96,6 +97,7 @@ pub fn prepare(
     warnings.extend(found_lens.warnings);
     warnings.extend(found_pose.warnings.iter().cloned());
     warnings.extend(light.warnings.iter().cloned());
+    warnings.extend(lost_triangles_warning(&scene));
     let reach = reach(plan, light.panorama.place);
     let near =
         near_field::warnings(shot.surroundings.as_ref(), &shot.lamps, light.panorama.place, reach);
@@ -229,9 +231,44 @@ fn ball_camera(
     }
 }
 
+/// Triangles that nothing can be seen of, though a file has them.
+fn lost_triangles_warning(scene: &Scene) -> Option<Warning> {
+    let meshes = || scene.objects.iter().chain(scene.local.iter().map(|local| &local.mesh));
+    let lost: usize = meshes().map(lost_triangles).sum();
+    (lost > 0).then(|| {
+        let all: usize = meshes().map(|mesh| mesh.triangles.len()).sum();
+        Warning::new(
+            "scene",
+            "triangles without area, or too far out, are left out; if they should be seen, look at the \
+             scale and the units of their file",
+            format!("{lost} of {all} triangles"),
+        )
+    })
+}
+
 /// Largest distance from the probe to a corner of the objects' box, metres; 0 without objects.
 fn reach(plan: &Plan, probe: DVec3) -> f64 {
     let Some([min, max]) = place::object_box(plan) else { return 0.0 };
     let far = (probe - min).abs().max((max - probe).abs());
     far.length()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::Mesh;
+    use glam::Vec3;
+
+    #[test]
+    fn lost_triangles_are_told() {
+        let mesh = Mesh {
+            positions: vec![Vec3::ZERO, Vec3::X, Vec3::Y],
+            triangles: vec![[0, 1, 2], [0, 0, 1]],
+            ..Mesh::default()
+        };
+        let mut scene = Scene { objects: vec![mesh], ..Scene::default() };
+        assert_eq!(lost_triangles_warning(&scene).unwrap().size, "1 of 2 triangles");
+        scene.objects[0].triangles.pop();
+        assert_eq!(lost_triangles_warning(&scene), None);
+    }
 }

@@ -20,7 +20,7 @@ use crate::scene::{Bounds, Mesh};
 /// - The hit is that of testing every triangle in turn; of two at the same distance the one with
 ///   the lower mesh, then lower triangle number counts.
 /// - Both sides of a triangle are hit. Triangles without area, and those with a corner that is not
-///   finite or farther out than 2⁴⁰ m, are left out and counted in [`Accel::n_dropped`].
+///   finite or farther out than 2⁴⁰ m, are left out: [`lost_triangles`] counts them.
 #[derive(Clone, Debug)]
 pub struct Accel {
     tree: Tree,
@@ -29,7 +29,6 @@ pub struct Accel {
     bounds: Bounds,
     /// Largest absolute coordinate.
     extent: f32,
-    n_dropped: usize,
     simd: Simd,
 }
 
@@ -40,15 +39,12 @@ impl Accel {
     pub fn build(meshes: &[&Mesh]) -> Self {
         let mut triangles: Vec<[Vec3; 3]> = Vec::new();
         let mut ids = Vec::new();
-        let mut n_dropped = 0;
         for (mesh_index, mesh) in meshes.iter().enumerate() {
             for (triangle_index, corners) in mesh.triangles.iter().enumerate() {
                 let triangle = corners.map(|i| mesh.positions[i as usize]);
                 if can_be_hit(&triangle) {
                     triangles.push(triangle);
                     ids.push([mesh_index as u32, triangle_index as u32]);
-                } else {
-                    n_dropped += 1;
                 }
             }
         }
@@ -61,7 +57,6 @@ impl Accel {
             ids,
             extent: if triangles.is_empty() { 0.0 } else { extent },
             bounds,
-            n_dropped,
             simd: Simd::detect(),
         }
     }
@@ -114,11 +109,6 @@ impl Accel {
         self.ids.len()
     }
 
-    /// Triangles left out because nothing can hit them or they have no finite place.
-    pub fn n_dropped(&self) -> usize {
-        self.n_dropped
-    }
-
     /// Memory of the structure, bytes.
     pub fn n_bytes(&self) -> usize {
         size_of_val(&self.tree.nodes[..])
@@ -156,6 +146,11 @@ impl Accel {
         let [mesh, triangle] = self.ids[found.primitive as usize];
         Hit { t, mesh, triangle, u, v }
     }
+}
+
+/// Triangles of a mesh that no ray can hit: without area, or without a finite place nearer than 2⁴⁰ m.
+pub fn lost_triangles(mesh: &Mesh) -> usize {
+    (0..mesh.triangles.len()).filter(|&i| !can_be_hit(&mesh.corners(i))).count()
 }
 
 /// Finite, not too far out, and not without area (in f64, where the products are exact enough).
@@ -420,7 +415,7 @@ mod tests {
         }
         mesh.triangles.extend([[0, 0, 1], [5, 5, 5]]);
         let accel = Accel::build(&[&mesh]);
-        assert_eq!((accel.n_dropped(), accel.n_triangles()), (6, 200));
+        assert_eq!((lost_triangles(&mesh), accel.n_triangles()), (6, 200));
         let before = Accel::build(&[&good]);
         let mut random = Random(8);
         for _ in 0..1000 {
