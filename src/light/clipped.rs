@@ -17,6 +17,7 @@ use std::f64::consts::PI;
 use glam::{DVec2, DVec3};
 use thiserror::Error;
 
+use super::sun::COMPACT_SR;
 use crate::bracket::Validity;
 use crate::camera::Camera;
 use crate::conventions::{Rgb, SUN_HALF_ANGLE_RAD, lat_long_direction, lat_long_pixel, luminance};
@@ -126,10 +127,29 @@ pub struct Stage<'a> {
     pub support_albedo: Option<(Rgb, f64)>,
 }
 
+/// Largest clipped region that can be one small light whatever its texels: 5° across.
+const LARGEST_SR: f64 = 6e-3;
+
+/// Half angle of the disc that stands for a light whose clipped texels cover `solid_angle` of a
+/// lat-long map `map_width` texels wide; `None` if that is too much for a light that throws one hard
+/// shadow: a window, a bright sky.
+///
+/// Blooming and the resampler add up to a texel and a half all round; what is left is the light's
+/// own, never smaller than the sun.
+pub fn half_angle_of(solid_angle: f64, map_width: usize) -> Option<f64> {
+    let texel = 2.0 * PI / map_width as f64;
+    if solid_angle > (COMPACT_SR + 9.0 * texel * texel).min(LARGEST_SR) {
+        return None;
+    }
+    let seen = (solid_angle / PI).sqrt();
+    Some((seen - 1.5 * texel).max(SUN_HALF_ANGLE_RAD))
+}
+
 /// Finds the irradiance of a sun in `direction` (unit, world) from what it does in the plate.
 pub fn recover(
     stage: &Stage,
     direction: DVec3,
+    half_angle_rad: f64,
     references: &[Reference],
 ) -> Result<RecoveredSun, RecoverError> {
     let samples = SupportGrid::sample(stage, direction);
@@ -153,7 +173,7 @@ pub fn recover(
     }
     Ok(RecoveredSun {
         direction,
-        half_angle_rad: SUN_HALF_ANGLE_RAD,
+        half_angle_rad,
         irradiance_normal,
         sigma: weight_sum.powf(-0.5),
         evidence,
@@ -553,7 +573,7 @@ mod tests {
             local: &local,
             support_albedo,
         };
-        recover(&stage, sun, references)
+        recover(&stage, sun, SUN_HALF_ANGLE_RAD, references)
     }
 
     fn sun_direction() -> DVec3 {
@@ -615,6 +635,21 @@ mod tests {
         let plate = photograph(&camera(), sun, 0.3);
         let found = recover_in_yard(None, &[], &plate, &scene, sun);
         assert!(matches!(found, Err(RecoverError::NoEvidence)));
+    }
+
+    #[test]
+    fn a_clipped_window_is_no_sun_and_a_lamp_keeps_its_size() {
+        let disc = |degrees: f64| PI * (0.5 * degrees).to_radians().powi(2);
+        assert_eq!(half_angle_of(disc(0.53), 2048), Some(SUN_HALF_ANGLE_RAD));
+        // A sun bloomed over 3 × 3 texels of 0.7°.
+        let texel = 2.0 * PI / 512.0;
+        assert_eq!(half_angle_of(9.0 * texel * texel, 512), Some(SUN_HALF_ANGLE_RAD));
+        let lamp = half_angle_of(disc(2.0), 2048).unwrap().to_degrees();
+        assert!((0.7..1.0).contains(&lamp), "{lamp}");
+        for width in [128, 512, 2048] {
+            assert_eq!(half_angle_of(disc(8.0), width), None, "a window in {width} texels");
+        }
+        assert_eq!(half_angle_of(disc(3.0), 2048), None);
     }
 
     #[test]

@@ -102,7 +102,7 @@ fn visible_cosine(elevation_sine: f32, half_angle: f32) -> f32 {
 /// Threshold of a cluster against the robust mean.
 const HOT: f32 = 50.0;
 /// Largest solid angle of a cluster, sr.
-const COMPACT_SR: f64 = 1e-3;
+pub(super) const COMPACT_SR: f64 = 1e-3;
 /// Smallest share of the flux that is worth a light of its own.
 const FLUX_SHARE: f64 = 0.02;
 /// Importance sampling handles more small lights than this better than a list does.

@@ -322,6 +322,14 @@ fn recover(
     warnings: &mut Vec<Warning>,
 ) -> Result<Vec<(Disc, f64)>, String> {
     let Some((sun, others)) = regions.split_first() else { return Ok(Vec::new()) };
+    let half_angle = clipped::half_angle_of(sun.solid_angle, panorama.width()).ok_or_else(|| {
+        format!(
+            "the brightest clipped light ({sun}, {:.1e} sr) is too large to be recovered as a sun: its \
+             shadows are soft; add a shorter exposure to the probe's bracket, or set probe.clipped = \
+             \"accept\" if it may be too weak",
+            sun.solid_angle
+        )
+    })?;
     let half_width = 0.5 * sun.width_deg().to_radians();
     // Half as much again: blooming and the resampler spread a clipped disc over its neighbours.
     clipped::take_out(panorama, sun.direction, 1.5 * half_width);
@@ -336,8 +344,8 @@ fn recover(
         local: &local,
         support_albedo: support_albedo(around.plan),
     };
-    let recovered =
-        clipped::recover(&stage, sun.direction, &[]).map_err(|error| error.to_string())?;
+    let recovered = clipped::recover(&stage, sun.direction, half_angle, &[])
+        .map_err(|error| error.to_string())?;
     let irradiance = recovered.irradiance_normal;
     let treatment = format!(
         "recovered as a sun from the plate, irradiance {:.3}, {:.3}, {:.3} ± {:.0} % ({} pieces of evidence)",
