@@ -46,14 +46,12 @@ const TILE_QUORUM: usize = 24;
 pub enum RecoverError {
     #[error(
         "the plate shows neither a lit surface of known albedo nor a modelled shadow, so the \
-         clipped sun's strength stays unknown; give support.albedo as [r, g, b], model the thing \
-         that casts a visible shadow as [[local]], add a shorter exposure to the probe's bracket, \
-         or set probe.clipped = \"accept\""
+         clipped sun's strength stays unknown"
     )]
     NoEvidence,
     #[error(
         "the support is as dark in the sun as out of it (irradiance by the sun {0:.4} of the \
-         plate's scale, by all else {1:.4}): the clipped region is no sun; set probe.clipped = \"accept\""
+         plate's scale, by all else {1:.4}): the clipped region is no sun"
     )]
     NotASun(f64, f64),
 }

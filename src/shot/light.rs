@@ -14,7 +14,7 @@ use super::probe_keys::{
 use crate::bracket::Radiance;
 use crate::camera::Camera;
 use crate::conventions::{Rgb, luminance};
-use crate::light::clipped::{self, Stage};
+use crate::light::clipped::{self, RecoverError, Stage};
 use crate::light::{Disc, LightOptions, Lights, SunSplit};
 use crate::photo::{Image, ReadOptions};
 use crate::probe::file::{self, Layout, rotation_xyz_deg};
@@ -345,7 +345,7 @@ fn recover(
         support_albedo: support_albedo(around.plan),
     };
     let recovered = clipped::recover(&stage, sun.direction, half_angle, &[])
-        .map_err(|error| error.to_string())?;
+        .map_err(|error| format!("{error}; {}", remedy(&error)))?;
     let irradiance = recovered.irradiance_normal;
     let treatment = format!(
         "recovered as a sun from the plate, irradiance {:.3}, {:.3}, {:.3} ± {:.0} % ({} pieces of evidence)",
@@ -372,6 +372,17 @@ fn recover(
         irradiance.as_vec3(),
     );
     Ok(vec![(disc, recovered.sigma)])
+}
+
+/// What to do in the shot file when a sun cannot be recovered.
+fn remedy(error: &RecoverError) -> &'static str {
+    match error {
+        RecoverError::NoEvidence => {
+            "give support.albedo as [r, g, b], model the thing that casts a visible shadow as \
+             [[local]], add a shorter exposure to the probe's bracket, or set probe.clipped = \"accept\""
+        }
+        RecoverError::NotASun(..) => "set probe.clipped = \"accept\"",
+    }
 }
 
 /// An albedo somebody gave, taken as good to 10 %.
