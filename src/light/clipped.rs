@@ -4,7 +4,7 @@
 //! does to surfaces is in the plate, though: methods-capture C7 gives the irradiance `E_n` on a
 //! plane facing the sun from what the plate shows, with `E_k` the irradiance by everything else.
 //!
-//! 1. a lit surface of known albedo ρ: `E_n = (πL/ρ − E_k)/cos θ` (the support, or a printed white);
+//! 1. the lit support, if its albedo ρ is given: `E_n = (πL/ρ − E_k)/cos θ`;
 //! 2. a real shadow on the support, albedo unknown: `E_n = (r·E_k,shadow − E_k,lit)/cos θ`, with
 //!    `r = L_lit/L_shadow` of neighbouring pixels.
 //!
@@ -70,7 +70,7 @@ pub struct Evidence {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Method {
-    /// A lit surface of given albedo.
+    /// The lit support, of given albedo.
     KnownAlbedo,
     /// A modelled shadow on the support.
     Shadow,
@@ -96,18 +96,6 @@ impl RecoveredSun {
         let projected_solid_angle = PI * self.half_angle_rad.sin().powi(2);
         (self.irradiance_normal / projected_solid_angle).as_vec3()
     }
-}
-
-/// A matte patch of known albedo whose radiance was photographed, in the plate's scale.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Reference {
-    /// World, metres.
-    pub point: DVec3,
-    pub normal: DVec3,
-    pub albedo: Rgb,
-    /// Relative standard error of `albedo`.
-    pub sigma_albedo: f64,
-    pub radiance: Rgb,
 }
 
 /// The shot as the recovery sees it: the plate, its camera and the modelled local scene.
@@ -148,13 +136,11 @@ pub fn recover(
     stage: &Stage,
     direction: DVec3,
     half_angle_rad: f64,
-    references: &[Reference],
 ) -> Result<RecoveredSun, RecoverError> {
     let samples = SupportGrid::sample(stage, direction);
     let mut evidence = Vec::new();
     evidence.extend(by_shadow(stage, &samples, direction));
     evidence.extend(by_support_albedo(stage, &samples, direction));
-    evidence.extend(references.iter().filter_map(|r| by_reference(stage, r, direction)));
 
     if evidence.is_empty() {
         return Err(RecoverError::NoEvidence);
@@ -363,31 +349,15 @@ fn by_support_albedo(stage: &Stage, grid: &SupportGrid, sun: DVec3) -> Option<Ev
         }
     }
     let centre = lit.get(lit.len() / 2)?;
-    let reference = Reference {
-        point: centre.point,
-        normal: centre.normal,
-        albedo,
-        sigma_albedo,
-        radiance: median_radiance(&lit).as_vec3(),
-    };
-    by_reference(stage, &reference, sun)
-}
-
-/// Method 1 on a patch of known albedo; `None` where the sun does not reach it.
-fn by_reference(stage: &Stage, reference: &Reference, sun: DVec3) -> Option<Evidence> {
-    if !stage.sees_sun(reference.point, reference.normal, sun) {
-        return None;
-    }
-    let cos = reference.normal.dot(sun);
-    let known = stage.known_irradiance(reference.point, reference.normal);
-    let total = reference.radiance.as_dvec3() * PI / reference.albedo.as_dvec3();
+    let cos = centre.normal.dot(sun);
+    let known = stage.known_irradiance(centre.point, centre.normal);
+    let total = median_radiance(&lit) * PI / albedo.as_dvec3();
     let irradiance_normal = (total - known) / cos;
     if !irradiance_normal.is_finite() || irradiance_normal.min_element() <= 0.0 {
         return None;
     }
     let share = |e: DVec3| luminance((e / (irradiance_normal * cos)).as_vec3()) as f64;
-    let sigma =
-        (reference.sigma_albedo * share(total)).hypot(SIGMA_KNOWN_IRRADIANCE * share(known));
+    let sigma = (sigma_albedo * share(total)).hypot(SIGMA_KNOWN_IRRADIANCE * share(known));
     Some(Evidence { method: Method::KnownAlbedo, irradiance_normal, sigma, places: 1 })
 }
 
@@ -555,7 +525,6 @@ mod tests {
 
     fn recover_in_yard(
         support_albedo: Option<(Rgb, f64)>,
-        references: &[Reference],
         plate: &Image<Rgb>,
         scene: &Scene,
         sun: DVec3,
@@ -571,7 +540,7 @@ mod tests {
             local: &local,
             support_albedo,
         };
-        recover(&stage, sun, SUN_HALF_ANGLE_RAD, references)
+        recover(&stage, sun, SUN_HALF_ANGLE_RAD)
     }
 
     fn sun_direction() -> DVec3 {
@@ -587,7 +556,7 @@ mod tests {
     fn a_real_shadow_tells_the_sun_without_an_albedo() {
         let sun = sun_direction();
         let plate = photograph(&camera(), sun, 0.3);
-        let found = recover_in_yard(None, &[], &plate, &yard(), sun).unwrap();
+        let found = recover_in_yard(None, &plate, &yard(), sun).unwrap();
         assert_eq!(found.evidence[0].method, Method::Shadow);
         // The photograph leaves out the 1.5 % of sky behind the card; tiles leave texture in the ratio.
         assert_recovered(&found, 0.05);
@@ -601,28 +570,9 @@ mod tests {
         let mut scene = yard();
         scene.local.truncate(1);
         let albedo = Some((Rgb::splat(0.3), 0.05));
-        let found = recover_in_yard(albedo, &[], &plate, &scene, sun).unwrap();
+        let found = recover_in_yard(albedo, &plate, &scene, sun).unwrap();
         assert_eq!(found.evidence.len(), 1);
         assert_recovered(&found, 0.02);
-    }
-
-    #[test]
-    fn a_printed_white_counts_only_where_the_sun_reaches_it() {
-        let sun = sun_direction();
-        let plate = Image::filled(300, 300, Rgb::splat(0.1));
-        let white = |point| Reference {
-            point,
-            normal: DVec3::Y,
-            albedo: Rgb::splat(0.85),
-            sigma_albedo: 0.05,
-            radiance: ((SKY.as_dvec3() * PI + SUN * sun.y) * 0.85 / PI).as_vec3(),
-        };
-        let found =
-            recover_in_yard(None, &[white(DVec3::new(-1.5, 0.0, 0.0))], &plate, &yard(), sun);
-        assert_recovered(&found.unwrap(), 0.02);
-        let under_the_card = -sun * (3.0 / sun.y) + DVec3::Y * 3.0;
-        let found = recover_in_yard(None, &[white(under_the_card)], &plate, &yard(), sun);
-        assert!(matches!(found, Err(RecoverError::NoEvidence)));
     }
 
     #[test]
@@ -631,7 +581,7 @@ mod tests {
         let mut scene = yard();
         scene.local.truncate(1);
         let plate = photograph(&camera(), sun, 0.3);
-        let found = recover_in_yard(None, &[], &plate, &scene, sun);
+        let found = recover_in_yard(None, &plate, &scene, sun);
         assert!(matches!(found, Err(RecoverError::NoEvidence)));
     }
 

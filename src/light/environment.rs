@@ -174,11 +174,6 @@ impl Environment {
             .sum()
     }
 
-    /// Texels of the picture in a row and in a column.
-    pub fn size(&self) -> (usize, usize) {
-        (self.width, self.height)
-    }
-
     /// Light of a coarse grid over the sphere, for bounds: (unit world direction of the cell's
     /// middle, its angular radius in radians, its flux ∫ L dω).
     pub fn cells(&self, columns: usize, rows: usize) -> Vec<(Vec3, f32, Rgb)> {

@@ -25,11 +25,9 @@ use sun::Split;
 pub struct LightSample {
     /// Unit, world axes.
     pub direction: Vec3,
-    /// Distance to the light, metres; infinite for the environment.
-    pub distance: f32,
     /// Radiance arriving from there, of everything that shines from this direction.
     pub radiance: Rgb,
-    /// Density per steradian of this direction, summed over all strata: see [`Lights::pdf`].
+    /// Density per steradian of this direction, summed over all strata: see [`Lights::evaluate`].
     pub pdf: f32,
 }
 
@@ -60,7 +58,7 @@ pub enum LightError {
 ///
 /// Draws come in strata, one from the environment's table and one from the suns, so that a shadow's
 /// umbra costs no luck. A renderer draws once from each stratum and weights by the balance heuristic
-/// with [`pdf`](Lights::pdf) plus the densities of its own techniques.
+/// with the density of [`evaluate`](Lights::evaluate) plus the densities of its own techniques.
 #[derive(Clone, Debug)]
 pub struct Lights {
     pub environment: Environment,
@@ -129,23 +127,13 @@ impl Lights {
         let (suns, sun_pdf) = self.evaluate_suns(direction);
         Some(LightSample {
             direction,
-            distance: f32::INFINITY,
             radiance: environment + suns,
             pdf: environment_pdf + sun_pdf,
         })
     }
 
-    /// Expected number of draws per steradian at `direction` (unit) when every stratum draws once.
-    pub fn pdf(&self, direction: Vec3) -> f32 {
-        self.evaluate(direction).1
-    }
-
-    /// Radiance arriving from `direction` (unit, pointing away from the place).
-    pub fn radiance(&self, direction: Vec3) -> Rgb {
-        self.evaluate(direction).0
-    }
-
-    /// [`radiance`](Self::radiance) and [`pdf`](Self::pdf) with one look-up.
+    /// Radiance arriving from `direction` (unit, pointing away from the place), and the expected number
+    /// of draws per steradian there when every stratum draws once.
     pub fn evaluate(&self, direction: Vec3) -> (Rgb, f32) {
         let (radiance, pdf) = self.environment.evaluate(direction);
         let (sun_radiance, sun_pdf) = self.evaluate_suns(direction);

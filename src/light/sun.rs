@@ -424,7 +424,7 @@ mod tests {
                     (f64::from(k) * 0.569_840_29).fract(),
                 );
                 let draw = lights.sample(stratum, u).unwrap();
-                assert!((lights.pdf(draw.direction) / draw.pdf - 1.0).abs() < 1e-3);
+                assert!((lights.evaluate(draw.direction).1 / draw.pdf - 1.0).abs() < 1e-3);
                 sum += (draw.radiance * draw.direction.y.max(0.0) / draw.pdf).as_dvec3();
             }
         }

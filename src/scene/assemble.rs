@@ -3,7 +3,7 @@
 use glam::{DAffine3, DMat3, DVec2, DVec3, Vec2, Vec3, Vec4};
 
 use super::{
-    AlbedoSource, Bounds, LocalMesh, LocalRole, Material, Mesh, Model, ModelMesh, Scene, SceneError,
+    AlbedoSource, LocalMesh, LocalRole, Material, Mesh, Model, ModelMesh, Scene, SceneError,
 };
 
 /// World point in the middle of all placed models: the best origin of their scene. Zero for nothing.
@@ -94,16 +94,6 @@ impl Scene {
             ..Model::default()
         };
         self.add_local(&model, &world_from_plane, LocalRole::Support, albedo)
-    }
-
-    /// Box of the objects.
-    pub fn object_bounds(&self) -> Bounds {
-        self.objects.iter().fold(Bounds::EMPTY, |all, mesh| all.union(&mesh.bounds()))
-    }
-
-    /// Box of the local things.
-    pub fn local_bounds(&self) -> Bounds {
-        self.local.iter().fold(Bounds::EMPTY, |all, local| all.union(&local.mesh.bounds()))
     }
 
     /// A world point in the frame of the meshes.

@@ -40,10 +40,6 @@ pub struct Surface {
 }
 
 impl Surface {
-    pub fn is_object(&self) -> bool {
-        self.place == Place::Object
-    }
-
     /// Where a ray along `direction` starts, so that it does not meet its own triangle again.
     ///
     /// On the side of the *geometric* normal to which `direction` goes (through the surface too).
@@ -266,7 +262,7 @@ mod tests {
         assert_eq!((surface.tangent, surface.bitangent), (Vec3::X, Vec3::Y));
         assert_eq!(surface.position, Vec3::new(-0.5, 0.5, 0.0));
         assert_eq!(surface.uvs[0], Vec2::new(0.25, 0.25));
-        assert!(surface.is_object());
+        assert_eq!(surface.place, Place::Object);
     }
 
     #[test]

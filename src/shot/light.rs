@@ -344,7 +344,7 @@ fn recover(
         local: &local,
         support_albedo: support_albedo(around.plan),
     };
-    let recovered = clipped::recover(&stage, sun.direction, half_angle, &[])
+    let recovered = clipped::recover(&stage, sun.direction, half_angle)
         .map_err(|error| format!("{error}; {}", remedy(&error)))?;
     let irradiance = recovered.irradiance_normal;
     let treatment = format!(
