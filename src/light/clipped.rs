@@ -14,33 +14,22 @@
 
 use std::f64::consts::PI;
 
-use glam::{DVec2, DVec3};
+use glam::DVec3;
 use thiserror::Error;
 
 use super::sun::COMPACT_SR;
-use crate::bracket::Validity;
+use super::support_grid::{SupportGrid, SupportSample, median_radiance};
 use crate::camera::Camera;
-use crate::conventions::{Rgb, SUN_HALF_ANGLE_RAD, lat_long_direction, lat_long_pixel, luminance};
+use crate::conventions::{Rgb, SUN_HALF_ANGLE_RAD, lat_long_pixel, luminance};
 use crate::photo::Image;
 use crate::probe::Panorama;
-use crate::scene::{LocalRole, Scene};
+use crate::scene::Scene;
 use crate::trace::{Accel, Hit, Ray};
 
 /// Relative doubt of the irradiance by everything but the sun (methods-capture C7's budget).
 const SIGMA_KNOWN_IRRADIANCE: f64 = 0.05;
 /// Rays per estimate of the known irradiance, a square number: stratified, cosine-weighted.
 const IRRADIANCE_RAYS_PER_SIDE: usize = 24;
-/// Plate pixels between two samples of the support.
-const GRID_STEP_PX: usize = 3;
-/// A sample counts as lit or shadowed only if all its grid neighbours this far agree: keeps the
-/// penumbra and the error of the pose out.
-const AGREEING_NEIGHBOURS: usize = 2;
-/// Grid samples along the side of a tile in which lit and shadowed samples are compared: near
-/// enough to be the same material, large enough to average its texture.
-const TILE_SAMPLES: usize = 20;
-/// Samples of each kind that a tile needs.
-const TILE_QUORUM: usize = 24;
-
 /// Why a clipped sun could not be recovered.
 #[derive(Debug, Error)]
 pub enum RecoverError {
@@ -197,13 +186,13 @@ impl Stage<'_> {
         texel(self.panorama, seen_from_probe.try_normalize().unwrap_or(direction)).as_dvec3()
     }
 
-    fn sees_sun(&self, point: DVec3, normal: DVec3, direction: DVec3) -> bool {
+    pub(super) fn sees_sun(&self, point: DVec3, normal: DVec3, direction: DVec3) -> bool {
         normal.dot(direction) > 0.0
             && !self.local.occluded(&self.ray_from(point, normal, direction))
     }
 
     /// Geometric normal of the triangle that was hit; `None` if it has no area.
-    fn normal(&self, hit: &Hit) -> Option<DVec3> {
+    pub(super) fn normal(&self, hit: &Hit) -> Option<DVec3> {
         let mesh = &self.scene.local[hit.mesh as usize].mesh;
         let [a, b, c] = mesh.triangles[hit.triangle as usize]
             .map(|corner| mesh.positions[corner as usize].as_dvec3());
@@ -234,87 +223,6 @@ fn texel(panorama: &Panorama, direction: DVec3) -> Rgb {
     panorama.radiance[(x, y)]
 }
 
-/// A support point seen by a plate pixel.
-#[derive(Clone, Copy)]
-struct SupportSample {
-    point: DVec3,
-    normal: DVec3,
-    radiance: Rgb,
-    lit: bool,
-}
-
-/// The support as the plate shows it, every [`GRID_STEP_PX`]-th pixel.
-struct SupportGrid {
-    samples: Image<Option<SupportSample>>,
-}
-
-impl SupportGrid {
-    fn sample(stage: &Stage, sun: DVec3) -> Self {
-        let width = stage.plate.width().div_ceil(GRID_STEP_PX);
-        let height = stage.plate.height().div_ceil(GRID_STEP_PX);
-        let samples = Image::from_fn(width, height, |i, j| {
-            let (x, y) = (i * GRID_STEP_PX, j * GRID_STEP_PX);
-            if stage.clipped[(x, y)] {
-                return None;
-            }
-            let (origin, direction) = stage.camera.ray(DVec2::new(x as f64, y as f64))?;
-            let ray = Ray {
-                origin: (origin - stage.scene.origin).as_vec3(),
-                direction: direction.as_vec3(),
-                t_min: 0.0,
-                t_max: f32::INFINITY,
-            };
-            let hit = stage.local.closest(&ray)?;
-            if stage.scene.local[hit.mesh as usize].role != LocalRole::Support {
-                return None;
-            }
-            let normal = stage.normal(&hit)?;
-            let normal = if normal.dot(direction) > 0.0 { -normal } else { normal };
-            let point = origin + direction * f64::from(hit.t);
-            let lit = stage.sees_sun(point, normal, sun);
-            Some(SupportSample { point, normal, radiance: stage.plate[(x, y)], lit })
-        });
-        Self { samples }
-    }
-
-    /// The sample at grid place (i, j) if every neighbour within [`AGREEING_NEIGHBOURS`] is the
-    /// support too and is lit, or not, alike.
-    fn settled(&self, i: usize, j: usize) -> Option<SupportSample> {
-        let sample = (*self.samples.get(i, j)?)?;
-        let reach = AGREEING_NEIGHBOURS as isize;
-        for dj in -reach..=reach {
-            for di in -reach..=reach {
-                let (x, y) = (i.checked_add_signed(di)?, j.checked_add_signed(dj)?);
-                if (*self.samples.get(x, y)?)?.lit != sample.lit {
-                    return None;
-                }
-            }
-        }
-        Some(sample)
-    }
-
-    /// Lit and shadowed settled samples of each tile that holds enough of both.
-    fn split_tiles(&self) -> Vec<[Vec<SupportSample>; 2]> {
-        let mut tiles = Vec::new();
-        for top in (0..self.samples.height()).step_by(TILE_SAMPLES) {
-            for left in (0..self.samples.width()).step_by(TILE_SAMPLES) {
-                let mut tile = [Vec::new(), Vec::new()];
-                for j in top..top + TILE_SAMPLES {
-                    for i in left..left + TILE_SAMPLES {
-                        if let Some(sample) = self.settled(i, j) {
-                            tile[usize::from(!sample.lit)].push(sample);
-                        }
-                    }
-                }
-                if tile.iter().all(|samples| samples.len() >= TILE_QUORUM) {
-                    tiles.push(tile);
-                }
-            }
-        }
-        tiles
-    }
-}
-
 /// Method 2: shadows that the local scene throws on the support.
 fn by_shadow(stage: &Stage, grid: &SupportGrid, sun: DVec3) -> Option<Evidence> {
     let estimates: Vec<DVec3> = grid
@@ -342,12 +250,7 @@ fn by_shadow(stage: &Stage, grid: &SupportGrid, sun: DVec3) -> Option<Evidence> 
 /// Method 1 on the support itself, where the shot gives its albedo.
 fn by_support_albedo(stage: &Stage, grid: &SupportGrid, sun: DVec3) -> Option<Evidence> {
     let (albedo, sigma_albedo) = stage.support_albedo?;
-    let mut lit = Vec::new();
-    for j in 0..grid.samples.height() {
-        for i in 0..grid.samples.width() {
-            lit.extend(grid.settled(i, j).filter(|sample| sample.lit));
-        }
-    }
+    let lit = grid.lit();
     let centre = lit.get(lit.len() / 2)?;
     let cos = centre.normal.dot(sun);
     let known = stage.known_irradiance(centre.point, centre.normal);
@@ -359,16 +262,6 @@ fn by_support_albedo(stage: &Stage, grid: &SupportGrid, sun: DVec3) -> Option<Ev
     let share = |e: DVec3| luminance((e / (irradiance_normal * cos)).as_vec3()) as f64;
     let sigma = (sigma_albedo * share(total)).hypot(SIGMA_KNOWN_IRRADIANCE * share(known));
     Some(Evidence { method: Method::KnownAlbedo, irradiance_normal, sigma, places: 1 })
-}
-
-/// Per-channel median radiance.
-fn median_radiance(samples: &[SupportSample]) -> DVec3 {
-    let channel = |c: usize| {
-        let mut values: Vec<f32> = samples.iter().map(|s| s.radiance[c]).collect();
-        values.sort_by(f32::total_cmp);
-        f64::from(values[values.len() / 2])
-    };
-    DVec3::new(channel(0), channel(1), channel(2))
 }
 
 /// Known irradiance averaged over a few samples spread evenly through the list.
@@ -408,51 +301,14 @@ fn robust_mean(estimates: &[DVec3]) -> Option<RobustMean> {
     Some(RobustMean { mean, sigma })
 }
 
-/// Takes a light that is modelled apart out of the panorama: its texels get the median of their
-/// surroundings and become [`Validity::Analytic`].
-///
-/// `half_angle_rad` is that of the cone around `direction` (world) to clear; the surroundings are
-/// the ring out to twice that, clipped texels left out. Nothing changes if the ring is empty.
-pub fn take_out(panorama: &mut Panorama, direction: DVec3, half_angle_rad: f64) {
-    let (width, height) = (panorama.radiance.width(), panorama.radiance.height());
-    let axis = panorama.world_from_panorama.inverse() * direction;
-    let mut inside = Vec::new();
-    let mut ring: Vec<Rgb> = Vec::new();
-    for y in 0..height {
-        for x in 0..width {
-            let texel = lat_long_direction(DVec2::new(x as f64, y as f64), width, height);
-            let angle = axis.angle_between(texel);
-            if angle <= half_angle_rad {
-                inside.push((x, y));
-            } else if angle <= 2.0 * half_angle_rad
-                && panorama.validity[(x, y)] != Validity::LowerBound
-            {
-                ring.push(panorama.radiance[(x, y)]);
-            }
-        }
-    }
-    if ring.is_empty() {
-        return;
-    }
-    let channel = |c: usize| {
-        let mut values: Vec<f32> = ring.iter().map(|l| l[c]).collect();
-        values.sort_by(f32::total_cmp);
-        values[values.len() / 2]
-    };
-    let surroundings = Rgb::new(channel(0), channel(1), channel(2));
-    for at in inside {
-        panorama.radiance[at] = surroundings;
-        panorama.validity[at] = Validity::Analytic;
-    }
-}
-
 #[cfg(test)]
 mod tests {
-    use glam::{DAffine3, DMat3, DQuat, Vec3};
+    use glam::{DAffine3, DMat3, DQuat, DVec2, Vec3};
 
     use super::*;
+    use crate::bracket::Validity;
     use crate::camera::{Lens, Pose};
-    use crate::scene::{AlbedoSource, LocalMesh, Mesh};
+    use crate::scene::{AlbedoSource, LocalMesh, LocalRole, Mesh};
 
     const SKY: Rgb = Rgb::new(0.02, 0.03, 0.05);
     const SUN: DVec3 = DVec3::new(1.6, 1.4, 1.0);
@@ -598,19 +454,5 @@ mod tests {
             assert_eq!(half_angle_of(disc(8.0), width), None, "a window in {width} texels");
         }
         assert_eq!(half_angle_of(disc(3.0), 2048), None);
-    }
-
-    #[test]
-    fn taking_a_light_out_leaves_its_surroundings() {
-        let mut panorama = sky();
-        let direction = sun_direction();
-        let at = lat_long_pixel(direction, 64, 32).round();
-        let at = (at.x as usize, at.y as usize);
-        panorama.radiance[at] = Rgb::splat(50.0);
-        panorama.validity[at] = Validity::LowerBound;
-        take_out(&mut panorama, direction, 0.1);
-        assert_eq!(panorama.radiance[at], SKY);
-        assert_eq!(panorama.validity[at], Validity::Analytic);
-        assert!(panorama.radiance.pixels().iter().all(|&l| l == SKY));
     }
 }

@@ -9,10 +9,13 @@ pub mod environment;
 pub mod near_field;
 mod patch;
 pub mod sun;
+mod support_grid;
 pub mod table;
+mod take_out;
 
 pub use environment::Environment;
 pub use sun::{Disc, SunSplit};
+pub use take_out::take_out;
 
 use glam::{DVec2, Vec3};
 

@@ -15,7 +15,7 @@ use crate::bracket::Radiance;
 use crate::camera::Camera;
 use crate::conventions::{Rgb, luminance};
 use crate::light::clipped::{self, RecoverError, Stage};
-use crate::light::{Disc, LightOptions, Lights, SunSplit};
+use crate::light::{Disc, LightOptions, Lights, SunSplit, take_out};
 use crate::photo::{Image, ReadOptions};
 use crate::probe::file::{self, Layout, rotation_xyz_deg};
 use crate::probe::find::BallImage;
@@ -332,7 +332,7 @@ fn recover(
     })?;
     let half_width = 0.5 * sun.width_deg().to_radians();
     // Half as much again: blooming and the resampler spread a clipped disc over its neighbours.
-    clipped::take_out(panorama, sun.direction, 1.5 * half_width);
+    take_out(panorama, sun.direction, 1.5 * half_width);
     let meshes: Vec<_> = around.scene.local.iter().map(|local| &local.mesh).collect();
     let local = Accel::build(&meshes);
     let stage = Stage {
