@@ -115,7 +115,8 @@ impl AlbedoMap {
             return None;
         }
         let rows = self.nodes.len() / self.columns;
-        let at = (pixel - self.step as f32 * 0.5).max(Vec2::ZERO) / self.step as f32;
+        // Nodes stand on whole pixels: see `on_grid`.
+        let at = (pixel - (self.step / 2) as f32).max(Vec2::ZERO) / self.step as f32;
         let (i, j) = (at.x as usize, at.y as usize);
         let f = at - Vec2::new(i as f32, j as f32);
         let (mut sum, mut weights) = (Rgb::ZERO, 0.0);
@@ -190,4 +191,56 @@ fn node(
         sum / samples as f32
     });
     Some(Node { mesh: point.mesh, radiance })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::render::test_scenes::{corner_camera, ground, local, matt, scene, uniform_sky};
+
+    /// A texture between 0.2 and 0.8.
+    fn texture(x: usize, y: usize) -> Rgb {
+        Rgb::new((x % 7) as f32, (y % 5) as f32, ((x + y) % 3) as f32) * 0.1 + 0.2
+    }
+
+    #[test]
+    fn a_textured_ground_under_a_known_sky_has_its_own_albedo() {
+        const SKY: f32 = 0.5;
+        let scene = scene(vec![], matt(0.5), vec![local(ground(50.0), AlbedoSource::Plate)]);
+        let lights = uniform_sky(SKY);
+        let camera = corner_camera(48, 36, 3.0);
+        // E = π L, so the plate shows ρ L.
+        let plate = Image::from_fn(48, 36, |x, y| texture(x, y) * SKY);
+        let mut world = World::new(&scene, &lights, &camera, &plate);
+        let primary = Primary::new(&camera, world.eye);
+        AlbedoMap::solve(&mut world, &primary, &Context::new(1));
+        for (x, y) in [(3, 20), (24, 18), (40, 33)] {
+            let pixel = Vec2::new(x as f32, y as f32);
+            let found = world.albedo.albedo(plate[(x, y)], pixel, 0);
+            assert!((found - texture(x, y)).abs().max_element() < 1e-5, "{found}");
+        }
+    }
+
+    #[test]
+    fn irradiance_between_the_nodes_is_that_of_its_own_place() {
+        for step in [1, 2, 3, 5] {
+            let (columns, rows) = (8, 6);
+            // Nodes on the pixels where `on_grid` puts them, light that grows across the plate.
+            let light = |x: f32, y: f32| Rgb::splat(0.2 + 0.01 * x + 0.02 * y);
+            let nodes = (0..columns * rows).map(|k| {
+                let at = |k: usize| (k * step + step / 2) as f32;
+                Some(Node { mesh: 0, radiance: light(at(k % columns), at(k / columns)) })
+            });
+            let map =
+                AlbedoMap { step, columns, nodes: nodes.collect(), means: vec![Rgb::splat(0.5)] };
+            for (x, y) in [(step, step), (2 * step + 1, 3 * step), (4 * step + 2, 2 * step + 1)] {
+                let pixel = Vec2::new(x as f32, y as f32);
+                let radiance = light(pixel.x, pixel.y);
+                let found = map.albedo(texture(x, y) * radiance, pixel, 0);
+                // The weights have a floor of 1e-3: the tolerance is its worst effect here.
+                let off = (found - texture(x, y)).abs().max_element();
+                assert!(off < 2e-4, "step {step}: {found} at {x}, {y}, off by {off}");
+            }
+        }
+    }
 }
