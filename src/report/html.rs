@@ -210,7 +210,7 @@ fn probe(report: &Report) -> Markup {
                         td.n { (format!("{:.1}°", light.azimuth_deg)) }
                         td.n { (format!("{:.1}°", light.elevation_deg)) }
                         td.n { (significant(light.solid_angle_sr)) " sr" }
-                        td { (light.treatment) }
+                        td { (light.treatment.to_string()) }
                     }
                 }
             }

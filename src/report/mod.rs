@@ -138,8 +138,38 @@ pub struct ClippedReport {
     pub azimuth_deg: f64,
     pub elevation_deg: f64,
     pub solid_angle_sr: f64,
-    /// "accepted as a lower bound" or how it was recovered.
-    pub treatment: String,
+    pub treatment: Treatment,
+}
+
+/// What was done about a clipped light; report.json has it as a sentence.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum Treatment {
+    /// Taken as it is, too weak.
+    #[default]
+    Accepted,
+    /// Its irradiance (on a plane that faces it, the plate's scale) was found in the plate, with a
+    /// relative standard error, from so many pieces of evidence.
+    Recovered { irradiance: [f64; 3], sigma: f64, evidence: usize },
+}
+
+impl std::fmt::Display for Treatment {
+    fn fmt(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
+        match self {
+            Self::Accepted => f.write_str("accepted as a lower bound"),
+            Self::Recovered { irradiance: [r, g, b], sigma, evidence } => write!(
+                f,
+                "recovered as a sun from the plate, irradiance {r:.3}, {g:.3}, {b:.3} ± {:.0} % \
+                 ({evidence} pieces of evidence)",
+                100.0 * sigma
+            ),
+        }
+    }
+}
+
+impl Serialize for Treatment {
+    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_str(self)
+    }
 }
 
 #[derive(Clone, Debug, Default, Serialize)]

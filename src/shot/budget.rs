@@ -1,7 +1,7 @@
 //! The error budget: how wrong the picture may be, cause by cause, as far as it is known.
 
 use super::prepare::Prepared;
-use crate::report::{Budget, ClippedReport, RenderReport, Term};
+use crate::report::{Budget, ClippedReport, RenderReport, Term, Treatment};
 
 /// A mirror ball's reflectance, photographed against a grey card, is good to about 3 %
 /// (methods-capture C4); nobody measured this one.
@@ -65,7 +65,9 @@ fn slip(prepared: &Prepared) -> Term {
         Some(s) if s > VISIBLE_SLIP_PX => {
             "objects may stand visibly beside their place; use a larger or nearer tag or board"
         }
-        Some(_) => "measured: pose and lens; below half a pixel it is not seen",
+        Some(_) => {
+            "measured: pose and lens; assumed: a target's size to 0.25 %; below half a pixel it is not seen"
+        }
         None => "the pose came without a covariance",
     };
     Term {
@@ -89,7 +91,7 @@ fn directions(prepared: &Prepared) -> Term {
 }
 
 fn accepted_clipping(clipped: &[ClippedReport]) -> Option<Term> {
-    let accepted: Vec<_> = clipped.iter().filter(|c| c.treatment.starts_with("accepted")).collect();
+    let accepted: Vec<_> = clipped.iter().filter(|c| c.treatment == Treatment::Accepted).collect();
     (!accepted.is_empty()).then(|| Term {
         cause: "clipped lights taken as they are".to_owned(),
         sigma: None,

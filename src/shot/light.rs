@@ -24,7 +24,7 @@ use crate::probe::resample::to_lat_long;
 use crate::probe::unwrap::{Support, natural_width, unwrap_ball};
 use crate::probe::{Ball, ClippedRegion, Panorama, Rim, clipped_regions, find};
 use crate::report::{
-    ClippedReport, LightsReport, ProbeReport, SunReport, Warning, azimuth_elevation,
+    ClippedReport, LightsReport, ProbeReport, SunReport, Treatment, Warning, azimuth_elevation,
 };
 use crate::scene::Scene;
 use crate::trace::Accel;
@@ -299,7 +299,7 @@ fn judge_clipped(
         Clipped::Accept => {
             let sum: f64 = matter.iter().map(share).sum();
             for region in &matter {
-                report.clipped.push(clipped_report(region, "accepted as a lower bound"));
+                report.clipped.push(clipped_report(region, Treatment::Accepted));
             }
             warnings.push(Warning::new(
                 "probe.clipped",
@@ -347,17 +347,14 @@ fn recover(
     let recovered = clipped::recover(&stage, sun.direction, half_angle)
         .map_err(|error| format!("{error}; {}", remedy(&error)))?;
     let irradiance = recovered.irradiance_normal;
-    let treatment = format!(
-        "recovered as a sun from the plate, irradiance {:.3}, {:.3}, {:.3} ± {:.0} % ({} pieces of evidence)",
-        irradiance.x,
-        irradiance.y,
-        irradiance.z,
-        100.0 * recovered.sigma,
-        recovered.evidence.len()
-    );
-    report.clipped.push(clipped_report(sun, &treatment));
+    let treatment = Treatment::Recovered {
+        irradiance: irradiance.to_array(),
+        sigma: recovered.sigma,
+        evidence: recovered.evidence.len(),
+    };
+    report.clipped.push(clipped_report(sun, treatment));
     for other in others {
-        report.clipped.push(clipped_report(other, "accepted as a lower bound"));
+        report.clipped.push(clipped_report(other, Treatment::Accepted));
     }
     if !others.is_empty() {
         warnings.push(Warning::new(
@@ -393,14 +390,14 @@ fn support_albedo(plan: &Plan) -> Option<(Rgb, f64)> {
     }
 }
 
-fn clipped_report(region: &ClippedRegion, treatment: &str) -> ClippedReport {
+fn clipped_report(region: &ClippedRegion, treatment: Treatment) -> ClippedReport {
     let (azimuth_deg, elevation_deg) = azimuth_elevation(region.direction);
     ClippedReport {
         direction: region.direction.to_array(),
         azimuth_deg,
         elevation_deg,
         solid_angle_sr: region.solid_angle,
-        treatment: treatment.to_owned(),
+        treatment,
     }
 }
 
