@@ -1,7 +1,8 @@
 //! Is the light far enough away that one panorama serves every place of the shot?
 //!
-//! First-order error of the distant assumption (methods: a horizontal patch moved by t toward a wall
-//! of light at distance d): its irradiance changes by 2.7 · t / d. Above 5 % the light is near.
+//! First-order error of the distant assumption (methods-render R10.1, measured on a room: a horizontal
+//! patch moved by t toward a wall of light at distance d): its irradiance changes by 2.7 · t / d. Above
+//! 5 % the light is near (R10.2).
 
 /// Relative change of irradiance per (displacement / distance of the light), horizontal patch.
 pub const IRRADIANCE_CHANGE: f64 = 2.7;

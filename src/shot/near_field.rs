@@ -1,18 +1,12 @@
 //! Does the light come from near by? Then treating it as distant is wrong, and by how much.
 //!
-//! Irradiance at an object that stands `t` from the probe is off by about `2.7 t/d` when the light
-//! comes from a wall or lamp at distance `d` (methods-render R10.1, measured on a room; first order).
-//! Above 5 % the shot needs near light (R10.2).
+//! Walls and lamps of the shot file, judged by [`distant_error`].
 
 use glam::DVec3;
 
 use super::probe_keys::{Lamp, Surroundings};
+use crate::light::near_field::{TOLERATED_ERROR, distant_error};
 use crate::report::Warning;
-
-/// Relative change of irradiance per t/d, horizontal receiver (R10.1).
-const SLOPE: f64 = 2.7;
-/// Above this the distant assumption is visible (R10.2).
-const THRESHOLD: f64 = 0.05;
 
 /// Warnings about surroundings and lamps that the renderer treats as distant.
 ///
@@ -62,12 +56,12 @@ pub fn largest_error(
 }
 
 fn error(distance: f64, reach: f64) -> f64 {
-    if distance > 0.0 { (SLOPE * reach / distance).min(1.0) } else { 1.0 }
+    distant_error(reach, distance).min(1.0)
 }
 
 fn warning(key: &str, what: &str, distance: f64, reach: f64) -> Warning {
     let error = error(distance, reach);
-    let verdict = if error > THRESHOLD {
+    let verdict = if error > TOLERATED_ERROR {
         "the light changes across the objects, but it is treated as infinitely far away"
     } else {
         "far enough: treating its light as infinitely far away is good to the error given"
