@@ -12,10 +12,12 @@ use super::write::{self, CompositeSettings, FileMark, OutFiles};
 use super::{overlays, place};
 use crate::camera;
 use crate::composite::{Composite, compose};
+use crate::conventions::Rgb;
 use crate::photo::Image;
 use crate::probe;
 use crate::render::Difference;
 use crate::report::{self, CompositeReport, Picture, RenderReport, Report, Warning};
+use crate::scene::{AlbedoSource, Scene};
 
 /// What a finished rendering leaves.
 pub struct Finish<'a> {
@@ -73,7 +75,8 @@ pub fn finish(
 
     let mut warnings = prepared.warnings.clone();
     warnings.extend(composite_warnings(&composite, encoded.clamped));
-    warnings.extend(scale_warning(&difference));
+    let solved = solved_albedos(&prepared.scene, &difference.albedo);
+    warnings.extend(scale_warning(&solved));
     if let Some(ground) = place::ground(plan) {
         warnings.extend(border_warning(&prepared, &difference, &ground));
     }
@@ -97,7 +100,7 @@ pub fn finish(
             reason: reason.to_owned(),
             tally: composite.tally,
             clamped: encoded.clamped,
-            albedo_median: albedo_median(&difference.albedo),
+            albedo_median: median(&solved),
         },
         stages: stopwatch.finish(),
         budget,
@@ -199,13 +202,9 @@ fn percent(part: u64, whole: u64) -> f64 {
 }
 
 /// A surface that seems to give back more light than it gets: plate and probe disagree (R9.2).
-fn scale_warning(difference: &Difference) -> Option<Warning> {
-    let (mut solved, mut too_white) = (0u64, 0u64);
-    for albedo in difference.albedo.pixels() {
-        solved += u64::from(albedo.max_element() > 0.0);
-        too_white += u64::from(albedo.max_element() > 0.95);
-    }
-    let share = percent(too_white, solved);
+fn scale_warning(solved: &[Rgb]) -> Option<Warning> {
+    let too_white = solved.iter().filter(|albedo| albedo.max_element() > 0.95).count();
+    let share = percent(too_white as u64, solved.len() as u64);
     (share > 5.0).then(|| {
         Warning::new(
             "plate.exposure",
@@ -238,9 +237,6 @@ fn border_warning(
                 }
                 let at = (x as usize, y as usize);
                 let Some(&d) = difference.difference.get(at.0, at.1) else { continue };
-                if at.1 >= difference.difference.height() {
-                    continue;
-                }
                 seen += 1;
                 let plate_noise = 2.0 * difference.stderr[at];
                 let visible = d.abs().cmpgt(plate_noise).any()
@@ -259,18 +255,51 @@ fn border_warning(
     })
 }
 
-/// Median of the solved albedo per channel, over pixels where it was solved.
-fn albedo_median(albedo: &Image<crate::conventions::Rgb>) -> Option<[f64; 3]> {
-    let solved: Vec<_> =
-        albedo.pixels().iter().filter(|a| a.max_element() > 0.0 && a.is_finite()).collect();
-    if solved.is_empty() {
+/// The albedos that were solved from the plate; those that somebody gave say nothing of its light.
+fn solved_albedos(scene: &Scene, layer: &Image<Rgb>) -> Vec<Rgb> {
+    let given: Vec<Rgb> = scene
+        .local
+        .iter()
+        .filter_map(|local| match local.albedo {
+            AlbedoSource::Constant(albedo) => Some(albedo),
+            AlbedoSource::Plate | AlbedoSource::Material => None,
+        })
+        .collect();
+    // The layer holds a given albedo to the bit.
+    let is_solved = |a: &Rgb| a.max_element() > 0.0 && a.is_finite() && !given.contains(a);
+    layer.pixels().iter().copied().filter(is_solved).collect()
+}
+
+/// Median per channel; `None` of none.
+fn median(albedos: &[Rgb]) -> Option<[f64; 3]> {
+    if albedos.is_empty() {
         return None;
     }
-    let median = |channel: usize| {
-        let mut values: Vec<f32> = solved.iter().map(|a| a.to_array()[channel]).collect();
+    Some([0, 1, 2].map(|channel| {
+        let mut values: Vec<f32> = albedos.iter().map(|a| a.to_array()[channel]).collect();
         let middle = values.len() / 2;
         let (_, &mut median, _) = values.select_nth_unstable_by(middle, f32::total_cmp);
         f64::from(median)
-    };
-    Some([median(0), median(1), median(2)])
+    }))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::{LocalMesh, LocalRole, Mesh};
+
+    #[test]
+    fn a_white_that_somebody_gave_is_no_sign_of_a_wrong_exposure() {
+        let local = |albedo| LocalMesh { mesh: Mesh::default(), role: LocalRole::Support, albedo };
+        let white = Rgb::splat(0.98);
+        let layer = Image::from_fn(10, 10, |x, _| if x < 8 { white } else { Rgb::splat(0.3) });
+        let given = [AlbedoSource::Constant(white), AlbedoSource::Plate].map(local);
+        let scene = Scene { local: given.to_vec(), ..Scene::default() };
+        let solved = solved_albedos(&scene, &layer);
+        assert_eq!(scale_warning(&solved), None);
+        assert_eq!(median(&solved), Some([f64::from(0.3f32); 3]));
+        let scene = Scene { local: vec![local(AlbedoSource::Plate)], ..Scene::default() };
+        assert!(scale_warning(&solved_albedos(&scene, &layer)).is_some());
+        assert_eq!(median(&[]), None);
+    }
 }
