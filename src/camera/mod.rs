@@ -8,6 +8,7 @@ pub mod interchange;
 pub mod lens;
 pub mod planar_pose;
 pub mod pose;
+pub mod print;
 pub mod slip;
 
 pub use lens::{Distortion, Lens};

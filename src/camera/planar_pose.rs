@@ -469,39 +469,11 @@ fn total_covariance(lens: &Lens, scatter: &PoseScatter) -> [[f64; 6]; 6] {
     total
 }
 
-/// The corners of a rectangle lying on a plane: upper left, upper right, lower right, lower left.
-///
-/// `at` is its centre (m), `facing` where its front looks, `up` its upward direction, both in the
-/// world; `up` need not be exactly across `facing`. `None` if they are parallel or zero.
-pub fn rectangle_corners(
-    at: DVec3,
-    facing: DVec3,
-    up: DVec3,
-    width_m: f64,
-    height_m: f64,
-) -> Option<[DVec3; 4]> {
-    let (right, up) = target_axes(facing, up)?;
-    let (x, y) = (right * (width_m * 0.5), up * (height_m * 0.5));
-    Some([at - x + y, at + x + y, at + x - y, at - x - y])
-}
-
-/// Unit right and up of a target seen from its front.
-///
-/// `None` if `facing` and `up` are parallel, zero or not finite.
-pub fn target_axes(facing: DVec3, up: DVec3) -> Option<(DVec3, DVec3)> {
-    let facing = facing.try_normalize()?;
-    let right = up.try_normalize()?.cross(facing);
-    if right.length() < 1e-3 {
-        return None;
-    }
-    let right = right.normalize();
-    Some((right, facing.cross(right)))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::camera::Distortion;
+    use crate::camera::print::rectangle_corners;
 
     const EXACT: Noise = Noise { sigma_px: 0.03, degrees: 4.0, size_sigma: 0.0 };
 

@@ -80,7 +80,8 @@ fn by_pose(camera: &Camera, projection: &Projection, seen: DVec3) -> [DVec2; 6] 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::camera::planar_pose::{Noise, Sighting, rectangle_corners, solve};
+    use crate::camera::planar_pose::{Noise, Sighting, solve};
+    use crate::camera::print::rectangle_corners;
     use crate::camera::{Lens, Pose};
 
     #[test]

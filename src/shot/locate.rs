@@ -9,7 +9,7 @@ use super::detect::{self, DetectError};
 use crate::camera::planar_pose::{
     self, Noise, PlanarPose, PoseError, PoseScatter, Sighting, Verdict,
 };
-use crate::camera::{Camera, Lens, Pose, file, slip};
+use crate::camera::{Camera, Lens, Pose, file, print, slip};
 use crate::photo::{self, Photo, PhotoError, ReadOptions};
 use crate::report::{PoseReport, Warning};
 
@@ -94,7 +94,7 @@ pub fn find_pose(
         PoseSource::Rectangle(own) => {
             let target = "pose.rectangle".to_owned();
             let place = &own.placing;
-            let corners = planar_pose::rectangle_corners(
+            let corners = print::rectangle_corners(
                 place.at.into(),
                 place.facing.into(),
                 place.up.into(),
@@ -184,7 +184,7 @@ fn sight_tag(
     let side = tag.size_mm * 1e-3;
     let place = &tag.placing;
     let (at, facing, up) = (place.at.into(), place.facing.into(), place.up.into());
-    let corners = planar_pose::rectangle_corners(at, facing, up, side, side)
+    let corners = print::rectangle_corners(at, facing, up, side, side)
         .ok_or_else(|| LocateError::Placing { target: name.to_string() })?;
     let sightings =
         corners.iter().zip(seen.corners).map(|(&world, pixel)| Sighting { world, pixel }).collect();
@@ -222,7 +222,7 @@ pub fn from_board(
     let name = photo.path.display().to_string();
     let seen = detect::board(photo, board)
         .map_err(|cause| LocateError::Detect { photo: photo.path.clone(), cause })?;
-    let (right, up) = planar_pose::target_axes(place.facing.into(), place.up.into())
+    let (right, up) = print::target_axes(place.facing.into(), place.up.into())
         .ok_or_else(|| LocateError::Placing { target: name.clone() })?;
     let at = DVec3::from(place.at);
     let sightings = seen
@@ -344,14 +344,9 @@ mod tests {
 
     fn rectangle(camera: &Camera, size: [f64; 2]) -> PoseSource {
         let p = PLACING;
-        let corners = planar_pose::rectangle_corners(
-            p.at.into(),
-            p.facing.into(),
-            p.up.into(),
-            size[0],
-            size[1],
-        )
-        .unwrap();
+        let corners =
+            print::rectangle_corners(p.at.into(), p.facing.into(), p.up.into(), size[0], size[1])
+                .unwrap();
         let corners_px = corners.map(|c| camera.project_world(c).unwrap().to_array());
         PoseSource::Rectangle(RectanglePose { corners_px, size, placing: p })
     }
