@@ -42,9 +42,32 @@ fn code(path: &Path) -> String {
     text.lines().map(|line| line.split("//").next().unwrap_or("")).collect::<Vec<_>>().join("\n")
 }
 
-/// The first names behind every `crate::`, also in groups: `crate::{photo::Image, render}`.
-fn rooms_named(code: &str) -> Vec<String> {
+/// How many modules deep a file is: 1 for `src/photo/mod.rs`, 2 for `src/photo/png.rs`.
+fn depth(file: &Path) -> usize {
+    let inside = file.strip_prefix(source_root()).expect("a file of src");
+    inside.components().count() - usize::from(inside.ends_with("mod.rs"))
+}
+
+/// The first names behind every path that begins at the crate's root, also in groups:
+/// `crate::{photo::Image, render}`, and `super::super::camera` in a file two modules deep.
+fn rooms_named(code: &str, depth: usize) -> Vec<String> {
     let mut names = Vec::new();
+    for (at, _) in code.match_indices("super::") {
+        // Each chain once, at its beginning.
+        if code[..at].ends_with("super::") || code[..at].ends_with(|c: char| c.is_alphanumeric()) {
+            continue;
+        }
+        let rest = code[at..].trim_start_matches("super::");
+        let steps = (code.len() - at - rest.len()) / "super::".len();
+        // Tests stand at the foot of a file, one module deeper.
+        if steps != depth + usize::from(code[..at].contains("mod tests {")) {
+            continue;
+        }
+        match rest.strip_prefix('{') {
+            Some(group) => names.extend(group_heads(group)),
+            None => names.push(first_name(rest)),
+        }
+    }
     for (at, _) in code.match_indices("crate::") {
         // `platelight_crate::` and the like are other names.
         if code[..at].ends_with(|c: char| c.is_alphanumeric() || c == '_') {
@@ -86,8 +109,17 @@ fn group_heads(text: &str) -> Vec<String> {
 #[test]
 fn paths_are_found_alone_and_in_groups() {
     let code = "use crate::photo::Image;\nuse crate::{\n  bracket::{A, B},\n  camera,\n};\ncrate::render::x()";
-    assert_eq!(rooms_named(code), ["photo", "bracket", "camera", "render"]);
-    assert!(rooms_named("other_crate::photo::x").is_empty());
+    assert_eq!(rooms_named(code, 2), ["photo", "bracket", "camera", "render"]);
+    assert!(rooms_named("other_crate::photo::x", 2).is_empty());
+}
+
+#[test]
+fn chains_of_super_that_leave_the_room_are_followed() {
+    let code = "use super::super::{render, cli::x};\nuse super::lens::Lens;\nmod tests {\n use \
+                super::super::lens;\n use super::super::super::shot::plan;\n}";
+    assert_eq!(rooms_named(code, 2), ["render", "cli", "shot"]);
+    assert_eq!(depth(&source_root().join("photo/mod.rs")), 1);
+    assert_eq!(depth(&source_root().join("shot/detect/with_calib.rs")), 3);
 }
 
 #[test]
@@ -98,7 +130,7 @@ fn a_room_uses_only_rooms_above_it() {
     let mut wrong = Vec::new();
     for (place, room) in rooms.iter().enumerate() {
         for file in files(room) {
-            for name in rooms_named(&code(&file)) {
+            for name in rooms_named(&code(&file), depth(&file)) {
                 if rooms.iter().position(|room| *room == name).is_some_and(|other| other > place) {
                     wrong.push(format!("{} uses {name}, which is below {room}", file.display()));
                 }
