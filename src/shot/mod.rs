@@ -26,6 +26,7 @@ pub mod prepare;
 pub mod probe_keys;
 pub mod run;
 pub mod sheet;
+mod unseen;
 pub mod watch;
 pub mod write;
 

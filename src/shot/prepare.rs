@@ -13,6 +13,7 @@ use super::near_field;
 use super::place;
 use super::plan::Plan;
 use super::probe_keys::{Ball, ProbeSource};
+use super::unseen;
 use super::watch::{Stopwatch, Watch};
 use crate::camera::{Camera, Distortion};
 use crate::render::Method;
@@ -98,6 +99,7 @@ pub fn prepare(
     warnings.extend(found_pose.warnings.iter().cloned());
     warnings.extend(light.warnings.iter().cloned());
     warnings.extend(lost_triangles_warning(&scene));
+    warnings.extend(unseen::warning(&scene, &camera));
     let reach = reach(plan, light.panorama.place);
     let near =
         near_field::warnings(shot.surroundings.as_ref(), &shot.lamps, light.panorama.place, reach);
