@@ -9,7 +9,7 @@ use assert_cmd::Command;
 use platelight::render::Context;
 use platelight::shot::ShotFile;
 use platelight::shot::run::{RunError, RunOptions, run_frames};
-use platelight::shot::watch::Silent;
+use platelight::shot::watch::{Silent, Watch};
 use tiny::{Plate, write_cube, write_shot};
 
 fn platelight(arguments: &[&str]) -> Output {
@@ -350,6 +350,48 @@ fn frames_that_a_cancelled_run_did_not_begin_are_told_as_interrupted() {
     let ended = run_frames(&shot, &out, &RunOptions::default(), &context, &Silent);
     assert_eq!(ended.len(), 3);
     assert!(ended.iter().all(|frame| matches!(frame, Err(RunError::Interrupted))));
+}
+
+/// Counts how often the lens is looked for.
+#[derive(Default)]
+struct Lenses(std::sync::atomic::AtomicU32);
+
+impl Watch for Lenses {
+    fn stage(&self, name: &str) {
+        let counts = name == "calibrate the lens";
+        self.0.fetch_add(u32::from(counts), std::sync::atomic::Ordering::Relaxed);
+    }
+    fn progress(&self, _done: f64, _error: f64) {}
+    fn warning(&self, _warning: &platelight::report::Warning) {}
+    fn written(&self, _path: &Path) {}
+}
+
+#[test]
+fn a_sequence_is_prepared_once_and_its_frames_are_as_if_run_alone() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = write_sequence(folder.path(), &[1001, 1002, 1003]);
+    let text_of = std::fs::read_to_string(&path).expect("shot");
+    let cube = write_cube(folder.path(), 0.15);
+    std::fs::write(&path, format!("{text_of}{cube}")).expect("shot");
+    let run = |out: &str| {
+        let shot = ShotFile::read(&path).expect("a shot");
+        let (out, lenses) = (folder.path().join(out), Lenses::default());
+        let ended = run_frames(&shot, &out, &RunOptions::default(), &Context::new(3), &lenses);
+        let n_done = ended.iter().filter(|frame| frame.is_ok()).count();
+        (out, n_done, lenses.0.into_inner())
+    };
+    let (all, n_done, n_lenses) = run("all");
+    assert_eq!((n_done, n_lenses), (3, 1));
+    let alone = std::fs::read_to_string(&path).expect("shot").replace("1001-1003", "1003");
+    std::fs::write(&path, alone).expect("shot");
+    let (one, n_done, n_lenses) = run("one");
+    assert_eq!((n_done, n_lenses), (1, 1));
+    for name in ["composite.1003.png", "panorama.1003.exr", "camera.1003.json"] {
+        let bytes = |folder: &Path| std::fs::read(folder.join(name)).expect("a result");
+        assert!(bytes(&all) == bytes(&one), "{name} differs");
+    }
+    let report = std::fs::read_to_string(all.join("report.1003.json")).expect("a report");
+    assert!(report.contains("plate.1003.exr") && !report.contains("plate.1001.exr"));
 }
 
 #[test]

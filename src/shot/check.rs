@@ -73,7 +73,7 @@ pub fn check(shot: &ShotFile, watch: &dyn Watch) -> Result<Findings, RunError> {
         ],
         predicted_bytes: plan.predicted_bytes(),
         predicted_time: predicted_time(&plan),
-        warnings: prepared.warnings,
+        warnings: [plan.warnings, prepared.warnings].concat(),
     })
 }
 

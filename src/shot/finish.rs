@@ -22,7 +22,7 @@ use crate::scene::{AlbedoSource, Scene};
 /// What a finished rendering leaves.
 pub struct Finish<'a> {
     pub plan: &'a Plan,
-    pub prepared: Prepared,
+    pub prepared: &'a Prepared,
     pub difference: Difference,
     pub render: RenderReport,
     pub settings: serde_json::Value,
@@ -71,29 +71,30 @@ pub fn finish(
     camera::file::write(&camera_path, &prepared.camera, true)
         .map_err(|error| RunError::Problems(vec![error.to_string()]))?;
     outputs.wrote(camera_path);
-    let pictures = write_pictures(plan, &prepared, files, &mut outputs)?;
+    let pictures = write_pictures(plan, prepared, files, &mut outputs)?;
 
-    let mut warnings = prepared.warnings.clone();
+    let mut warnings = [&plan.warnings[..], &prepared.warnings[..]].concat();
+    let n_told = warnings.len();
     warnings.extend(composite_warnings(&composite, encoded.clamped));
     let solved = solved_albedos(&prepared.scene, &difference.albedo);
     warnings.extend(scale_warning(&solved));
     if let Some(ground) = place::ground(plan) {
-        warnings.extend(border_warning(&prepared, &difference, &ground));
+        warnings.extend(border_warning(prepared, &difference, &ground));
     }
-    for warning in &warnings[prepared.warnings.len()..] {
+    for warning in &warnings[n_told..] {
         watch.warning(warning);
     }
-    let budget = budget::budget(&prepared, &render);
+    let budget = budget::budget(prepared, &render);
     let report = Report {
         program: existing::PROGRAM.to_owned(),
         shot: settings,
         seed,
         inputs: serde_json::to_value(&inputs).unwrap_or_default(),
         outputs: outputs.marks(),
-        camera: prepared.camera_report,
-        pose: prepared.pose_report,
-        probe: prepared.probe_report,
-        lights: prepared.lights_report,
+        camera: prepared.camera_report.clone(),
+        pose: prepared.pose_report.clone(),
+        probe: prepared.probe_report.clone(),
+        lights: prepared.lights_report.clone(),
         render,
         composite: CompositeReport {
             mode: mode.name().to_owned(),

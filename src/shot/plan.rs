@@ -14,7 +14,7 @@ use super::file::{PlateColour, ShotFile, SupportShape};
 use super::pictures::{expand, readable};
 use super::place;
 use super::probe_keys::{ProbeSource, Surroundings};
-use crate::photo::{self, NamedColour, Photo, ReadOptions, Samples};
+use crate::photo::{self, NamedColour, Photo, ReadOptions, Samples, Transfer};
 use crate::report::Warning;
 use crate::scene::{self, Model};
 
@@ -168,11 +168,7 @@ impl Plan {
         let mut find = Finder { problems: Vec::new(), inputs: Vec::new(), file: shot.path.clone() };
         find.inputs.push(shot.path.clone());
 
-        let colour = match &shot.plate.colour {
-            PlateColour::Named(name) => name.parse().ok(),
-            PlateColour::Auto | PlateColour::Bracket => None,
-        };
-        let plate = find.photo("plate.file", &shot.plate.file, colour);
+        let plate = find.photo("plate.file", &shot.plate.file, named_colour(&shot));
         find.camera("camera", &shot.camera.source);
         find.pose("pose", &shot.pose, &shot.camera);
         let relative = shot.plate.relative_exposure;
@@ -229,6 +225,34 @@ impl Plan {
             }
             _ => Err(find.problems),
         }
+    }
+
+    /// Puts another frame's plate in the place of this one's. False, with nothing changed, if the plate
+    /// is of another size or the camera wrote other facts beside it (exposure, focal length): then
+    /// more than the plate may be another.
+    ///
+    /// # Errors
+    /// The frame cannot be read; nothing is changed.
+    pub fn take_frame(&mut self, shot: &ShotFile) -> Result<bool, Vec<String>> {
+        let mut find = Finder { problems: Vec::new(), inputs: Vec::new(), file: shot.path.clone() };
+        let plate = find.photo("plate.file", &shot.plate.file, named_colour(shot));
+        let Some(mut plate) = plate else { return Err(find.problems) };
+        let size = |photo: &Photo| (photo.linear.width(), photo.linear.height());
+        if size(&plate) != size(&self.plate) || plate.facts != self.plate.facts {
+            return Ok(false);
+        }
+        // The curve that the bracket showed is this frame's too.
+        if let Transfer::Measured(curve) = &self.plate.encoding.transfer {
+            let read = plate.redecoded(Transfer::Measured(curve.clone()));
+            plate = read.map_err(|error| vec![error.to_string()])?;
+        }
+        if let Some(input) = self.inputs.iter_mut().find(|input| **input == self.plate.path) {
+            input.clone_from(&plate.path);
+        }
+        self.plate = plate;
+        self.shot = shot.clone();
+        self.warnings = self.find_warnings();
+        Ok(true)
     }
 
     /// Bytes a run will need at its peak, roughly: what is kept for each pixel, texel and triangle.
@@ -293,6 +317,14 @@ impl Plan {
             ));
         }
         warnings
+    }
+}
+
+/// The plate's colour space if the shot file names one.
+fn named_colour(shot: &ShotFile) -> Option<NamedColour> {
+    match &shot.plate.colour {
+        PlateColour::Named(name) => name.parse().ok(),
+        PlateColour::Auto | PlateColour::Bracket => None,
     }
 }
 

@@ -31,6 +31,7 @@ pub struct Prepared {
     pub light: Light,
     pub scene: Scene,
     pub method: Method,
+    /// Beside the plan's own.
     pub warnings: Vec<Warning>,
     /// What the pose was found from, and the camera that saw it.
     pub seen: Vec<Seen>,
@@ -94,8 +95,7 @@ pub fn prepare(
     let (light, probe_report, lights_report) =
         light::light(unwrapped, &around).map_err(|problem| vec![problem])?;
 
-    let mut warnings = plan.warnings.clone();
-    warnings.extend(found_lens.warnings);
+    let mut warnings = found_lens.warnings;
     warnings.extend(found_pose.warnings.iter().cloned());
     warnings.extend(light.warnings.iter().cloned());
     warnings.extend(lost_triangles_warning(&scene));

@@ -78,9 +78,12 @@ pub fn run_frames(
     watch: &dyn Watch,
 ) -> Vec<Result<Finished, RunError>> {
     let Some(frames) = &shot.plate.frames else {
-        return vec![run_one(shot.clone(), &OutFiles::new(out, None), options, context, watch)];
+        let files = OutFiles::new(out, None);
+        let mut alone = Shared::default();
+        return vec![run_one(shot.clone(), &files, options, context, &mut alone, watch)];
     };
     let mut results = Vec::new();
+    let mut shared = Shared::default();
     for frame in frames.iter() {
         if context.is_cancelled() {
             results.push(Err(RunError::Interrupted));
@@ -91,9 +94,31 @@ pub fn run_frames(
         // Another seed each frame: a fixed pattern would stand still while the picture moves.
         let seeded = context.with_seed(context.seed ^ (frame as u64).wrapping_mul(0x9e37_79b9));
         let files = OutFiles::new(out, Some(frame));
-        results.push(run_one(single, &files, options, &seeded, watch));
+        results.push(run_one(single, &files, options, &seeded, &mut shared, watch));
     }
     results
+}
+
+/// What the frames of a sequence share: everything but the plate. Lens, place and light are found once,
+/// with the first frame, so that they stand still.
+#[derive(Default)]
+struct Shared(Option<(Plan, Option<Prepared>)>);
+
+impl Shared {
+    /// The plan of a frame, and what is prepared already that serves it.
+    fn plan(&mut self, shot: ShotFile) -> Result<&mut (Plan, Option<Prepared>), Vec<String>> {
+        let serves = match &mut self.0 {
+            Some((plan, _)) => plan.take_frame(&shot)?,
+            None => false,
+        };
+        if !serves {
+            self.0 = None;
+        }
+        match &mut self.0 {
+            Some(kept) => Ok(kept),
+            none => Ok(none.insert((Plan::make(shot)?, None))),
+        }
+    }
 }
 
 fn run_one(
@@ -101,6 +126,7 @@ fn run_one(
     files: &OutFiles,
     options: &RunOptions,
     context: &Context,
+    shared: &mut Shared,
     watch: &dyn Watch,
 ) -> Result<Finished, RunError> {
     if let Some(stop) = options.stop {
@@ -110,7 +136,7 @@ fn run_one(
     check_folder(&files.folder)?;
     let mut stopwatch = Stopwatch::new();
     stopwatch.begin("read the shot", watch);
-    let mut plan = Plan::make(shot).map_err(RunError::Problems)?;
+    let (plan, prepared) = shared.plan(shot).map_err(RunError::Problems)?;
     let inputs: Vec<FileMark> = plan.inputs.iter().filter_map(|path| FileMark::of(path)).collect();
     let report_path = files.path("report", "json");
     if options.skip_existing
@@ -119,8 +145,11 @@ fn run_one(
         return Ok(Finished { report: None, complete: true, skipped: true, warnings: 0 });
     }
 
-    let prepared = prepare(&mut plan, &mut stopwatch, watch).map_err(RunError::Problems)?;
-    for warning in &prepared.warnings {
+    let prepared = match prepared {
+        Some(prepared) => prepared,
+        none => none.insert(prepare(plan, &mut stopwatch, watch).map_err(RunError::Problems)?),
+    };
+    for warning in plan.warnings.iter().chain(&prepared.warnings) {
         watch.warning(warning);
     }
     if context.is_cancelled() {
@@ -128,11 +157,10 @@ fn run_one(
     }
 
     stopwatch.begin("render", watch);
-    let (difference, render) = render_shot(&plan, &prepared, files, context, watch)?;
+    let (difference, render) = render_shot(plan, prepared, files, context, watch)?;
 
     stopwatch.begin("composite and report", watch);
-    let done =
-        Finish { plan: &plan, prepared, difference, render, settings, inputs, seed: context.seed };
+    let done = Finish { plan, prepared, difference, render, settings, inputs, seed: context.seed };
     let report = finish(done, files, stopwatch, watch)?;
     Ok(Finished {
         complete: report.render.complete,
