@@ -7,6 +7,7 @@ pub mod file;
 pub mod interchange;
 pub mod lens;
 pub mod planar_pose;
+mod planar_start;
 pub mod pose;
 pub mod print;
 pub mod slip;
