@@ -69,10 +69,8 @@ pub fn exr_picture(
         writer.float("samples.Y", difference.samples.pixels().iter().map(|&n| n as f32));
     }
     if wanted("influence") {
-        let samples = difference.samples.pixels().iter();
-        let changed = composite.changed.pixels().iter();
-        let reached = samples.zip(changed).map(|(&n, &changed)| n > 0 || changed);
-        writer.plain("influence.Y", reached.map(|reached| f32::from(u8::from(reached))));
+        let sampled = difference.samples.pixels().iter().map(|&n| n > 0);
+        writer.plain("influence.Y", sampled.map(|sampled| f32::from(u8::from(sampled))));
     }
     if wanted("clip") {
         let clipped = plate.clipped.pixels().iter();
