@@ -51,12 +51,13 @@ fn main() -> Result<(), Box<dyn Error>> {
         plate: &plate.linear,
         stop: Stop::Error(args.error),
         numbers: Numbers::default(),
+        least_step: plate.least_step(),
     };
     let mut integrator = integrator(Method::default(), job)?;
     let context = Context::new(0);
     let wave = loop {
         let wave = integrator.next_wave(&context);
-        if wave.finished {
+        if wave.finished() {
             break wave;
         }
     };

@@ -27,6 +27,10 @@ impl Patch {
         Self { longitude: [at(column), at(column + 1)], cosine: [cosines[row], cosines[row + 1]] }
     }
 
+    pub fn solid_angle(&self) -> f64 {
+        (self.longitude[0] - self.longitude[1]) * (self.cosine[0] - self.cosine[1])
+    }
+
     /// ∫ ω dω over the patch, in closed form.
     fn vector_area(&self) -> DVec3 {
         let [l0, l1] = self.longitude;
@@ -48,7 +52,7 @@ impl Patch {
     }
 
     /// Two halves, cut across the longer side.
-    fn halves(&self) -> [Self; 2] {
+    pub fn halves(&self) -> [Self; 2] {
         let [l0, l1] = self.longitude;
         let [c0, c1] = self.cosine;
         let (polar0, polar1) = (c0.clamp(-1.0, 1.0).acos(), c1.clamp(-1.0, 1.0).acos());

@@ -205,6 +205,18 @@ impl Photo {
         }
     }
 
+    /// Smallest relative change of light that the file can show: half a code at white, where codes
+    /// are finest. 0 for floats.
+    pub fn least_step(&self) -> f32 {
+        let codes = match self.samples {
+            Samples::U8 { .. } => 255.0,
+            Samples::U16 { .. } => 65_535.0,
+            Samples::F16 { .. } | Samples::F32 { .. } => return 0.0,
+        };
+        let transfer = &self.encoding.transfer;
+        1.0 - transfer.decode(1.0 - 0.5 / codes) / transfer.decode(1.0)
+    }
+
     /// The same file read through another curve, its primaries kept.
     ///
     /// # Errors

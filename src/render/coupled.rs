@@ -15,14 +15,16 @@
 
 use glam::Vec3;
 
+use super::Context;
+use super::albedo::AlbedoMap;
 use super::bsdf::Bsdf;
 use super::cones::Cones;
+use super::film::{Pair, Sample};
 use super::primary::Primary;
 use super::sampler::{Purpose, Sampler, to_f32};
 use super::surface::{Colouring, LocalPoint, Surface};
-use super::waves::{Estimator, Sample};
+use super::waves::Estimator;
 use super::world::World;
-use super::{Context, waves};
 use crate::conventions::Rgb;
 use crate::trace::{Hit, Ray};
 
@@ -35,13 +37,6 @@ const LOOK_ROULETTE_DEPTH: u32 = 1;
 /// Share of draws toward the objects where nothing local can be met, and where it can.
 const CONE_SHARE_FLAT: f32 = 0.9;
 const CONE_SHARE: f32 = 0.5;
-
-/// (with − without) and without, of one look at a local point.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Pair {
-    pub delta: Rgb,
-    pub without: Rgb,
-}
 
 /// What is asked of a look.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -83,8 +78,8 @@ impl Estimator for Coupled<'_> {
         &self.primary
     }
 
-    fn prepare(&mut self, context: &Context) {
-        waves::solve_albedo(&mut self.world, &self.primary, context);
+    fn solve_albedo(&mut self, context: &Context) {
+        AlbedoMap::solve(&mut self.world, &self.primary, context);
     }
 
     fn sample(&self, x: usize, y: usize, sampler: Sampler) -> Sample {

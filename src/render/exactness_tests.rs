@@ -109,11 +109,12 @@ fn a_cancelled_context_stops_at_once() {
         plate: &plate,
         stop: Stop::Samples(1 << 20),
         numbers: Numbers::SobolOwen,
+        least_step: 0.0,
     };
     let context = Context::new(1);
     context.cancel();
     let wave = integrator(Method::Coupled, job).unwrap().next_wave(&context);
-    assert!(wave.finished && wave.samples == 0);
+    assert!(wave.finished() && wave.samples == 0);
 }
 
 #[test]
@@ -123,7 +124,15 @@ fn wrong_jobs_are_refused_with_their_cause() {
     let lights = uniform_sky(1.0);
     let try_with = |plate: &Image<Rgb>, stop| {
         let numbers = Numbers::SobolOwen;
-        let job = Job { scene: &scene, lights: &lights, camera: &camera, plate, stop, numbers };
+        let job = Job {
+            scene: &scene,
+            lights: &lights,
+            camera: &camera,
+            plate,
+            stop,
+            numbers,
+            least_step: 0.0,
+        };
         job.validate().unwrap_err().to_string()
     };
     let plate = Image::filled(40, 30, Rgb::ONE);

@@ -7,6 +7,7 @@
 
 use glam::Vec3;
 
+use super::surface::Colouring;
 use crate::conventions::{Rgb, luminance};
 
 /// One camera sample, or the mean of some.
@@ -24,6 +25,34 @@ pub struct Sample {
     pub without: Rgb,
     /// (with − without) of local surfaces that bring their own albedo or material, absolute.
     pub own: Rgb,
+}
+
+/// (with − without) and without, of one look at a local point.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Pair {
+    pub delta: Rgb,
+    pub without: Rgb,
+}
+
+impl Sample {
+    /// A sample that met a local surface first; `mean` is the surface's mean albedo.
+    pub fn background(colour: Colouring, mean: Rgb, pair: Pair) -> Self {
+        // One scale for all surfaces of a pixel, so that its quotient weighs them by their light.
+        let (scale, own, plate) = match colour {
+            Colouring::Plate => (mean, Rgb::ZERO, 1.0),
+            Colouring::Matt(albedo) => (albedo, albedo * pair.delta, 0.0),
+            Colouring::Own => (Rgb::ONE, pair.delta, 0.0),
+        };
+        let scale = scale.max(Rgb::splat(1e-3));
+        Self {
+            local: 1.0,
+            plate,
+            delta: pair.delta * scale,
+            without: pair.without * scale,
+            own,
+            ..Self::default()
+        }
+    }
 }
 
 impl std::ops::AddAssign for Sample {
@@ -100,7 +129,7 @@ impl Pixel {
     /// The estimate from `replicates` of them over a pixel whose plate value is `plate`.
     ///
     /// Where a channel has next to no light without objects (below `dark`), the quotient is
-    /// meaningless: the ratio is 0 there, and so is the difference of a surface known by it alone.
+    /// meaningless: the ratio is 0 there, and the difference is that of the surface's mean albedo.
     pub fn estimate(&self, replicates: u32, plate: Rgb, dark: f32) -> Estimate {
         if replicates == 0 {
             return Estimate::default();
@@ -122,14 +151,14 @@ impl Pixel {
         let most = LARGEST_CORRECTION * quotient.abs();
         let bias = ((quotient * var_b - cov_ab) / (base * base * n)).clamp(-most, most);
         let unbiased = quotient - bias;
-        // Noise at a contact must not take more light than there is.
-        let ratio = Vec3::select(lit, unbiased.max(-Vec3::ONE) * mean.local, Vec3::ZERO);
+        let ratio = Vec3::select(lit, unbiased * mean.local, Vec3::ZERO);
         let of_plate = if mean.local > 0.0 { mean.plate / mean.local } else { 0.0 };
-        let difference = mean.own + plate * ratio * of_plate;
+        let by_plate = Vec3::select(lit, plate * ratio, mean.delta) * of_plate;
+        let difference = mean.own + by_plate;
 
         // Linearised: u + k (a − q b), k = what the plate makes of one unit of delta
-        let k = Vec3::select(lit, plate * (mean.local * of_plate) / base, Vec3::ZERO);
-        let q = quotient;
+        let k = Vec3::select(lit, plate * mean.local / base, Vec3::ONE) * of_plate;
+        let q = Vec3::select(lit, quotient, Vec3::ZERO);
         let variance = moment(self.uu, u, u)
             + 2.0 * k * (moment(self.ua, u, a) - q * moment(self.ub, u, b))
             + k * k * (moment(self.aa, a, a) - 2.0 * q * cov_ab + q * q * var_b);
@@ -140,11 +169,6 @@ impl Pixel {
             ratio,
             variance: (variance / n).max(Vec3::ZERO),
         }
-    }
-
-    /// Mean light without objects, for the level below which it counts as darkness.
-    pub fn without(&self, replicates: u32) -> Rgb {
-        if replicates == 0 { Rgb::ZERO } else { self.sum.without / replicates as f32 }
     }
 }
 
@@ -212,7 +236,9 @@ mod tests {
             pixel.add(Sample { local: 1.0, plate: 1.0, delta, without, ..Sample::default() });
         }
         let e = pixel.estimate(2, Rgb::ONE, 1e-6);
-        assert_eq!(e.ratio, -Rgb::ONE, "-0.1 over 0.05 would be less than no light");
+        // Ten times less light than there is would be −200 without the floor under the base; that
+        // it is still below −1 is for the composite to mend, once noise has averaged out.
+        assert!(e.ratio.cmpgt(Rgb::splat(-2.6)).all(), "{}", e.ratio);
     }
 
     #[test]

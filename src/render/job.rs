@@ -33,6 +33,9 @@ pub struct Job<'a> {
     pub plate: &'a Image<Rgb>,
     pub stop: Stop,
     pub numbers: Numbers,
+    /// Smallest relative change that the plate's file can show: half a code at white for integer
+    /// files, 0 for floats. Tiles that provably change less get no samples.
+    pub least_step: f32,
 }
 
 /// Why a job cannot be rendered.
@@ -121,10 +124,12 @@ pub fn integrator<'a>(
     let world = World::new(job.scene, job.lights, job.camera, job.plate);
     let primary = Primary::new(job.camera, world.eye);
     Ok(match method {
-        Method::Coupled => Box::new(Waves::new(Coupled { world, primary }, job.stop, job.numbers)),
+        Method::Coupled => {
+            Box::new(Waves::new(Coupled { world, primary }, job.stop, job.numbers, job.least_step))
+        }
         Method::TwoPass { same_numbers } => {
             let estimator = TwoPass { world, primary, same_numbers };
-            Box::new(Waves::new(estimator, job.stop, job.numbers))
+            Box::new(Waves::new(estimator, job.stop, job.numbers, job.least_step))
         }
     })
 }

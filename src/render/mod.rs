@@ -10,11 +10,14 @@ pub mod coupled;
 pub mod film;
 pub mod fresnel;
 pub mod ggx;
+pub mod guides;
+pub mod influence;
 pub mod job;
 pub mod primary;
 pub mod sampler;
 pub mod skylight;
 pub mod surface;
+pub mod tile;
 pub mod two_pass;
 pub mod waves;
 pub mod world;
@@ -25,6 +28,8 @@ mod agreement_tests;
 mod closed_form_tests;
 #[cfg(test)]
 mod exactness_tests;
+#[cfg(test)]
+mod influence_tests;
 #[cfg(test)]
 mod test_scenes;
 
@@ -119,10 +124,30 @@ pub struct Wave {
     pub samples: u64,
     /// Share of the work toward the stopping rule that is done, 0…1.
     pub done: f64,
-    /// True when the stopping rule is met.
-    pub finished: bool,
+    pub progress: Progress,
     /// Error over the influence region reached so far, relative to the plate.
     pub error: f64,
+    /// Pixels that this error leaves out: their light is found by chance (caustics) and is far
+    /// noisier than around them. Their own standard error says so.
+    pub outliers: u64,
+}
+
+impl Wave {
+    /// True if there is nothing more to wait for.
+    pub fn finished(&self) -> bool {
+        self.progress != Progress::Going
+    }
+}
+
+/// Where a render stands after a wave.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Progress {
+    Going,
+    /// The stopping rule is met.
+    Met,
+    /// No more samples are given although the stopping rule is not met.
+    Exhausted,
+    Cancelled,
 }
 
 /// When to stop.

@@ -8,6 +8,8 @@
 use glam::{DVec2, DVec3, Vec3};
 use rayon::prelude::*;
 
+use super::guides::Block;
+use super::world::PartBall;
 use crate::camera::Camera;
 use crate::trace::Ray;
 
@@ -60,9 +62,22 @@ impl Primary {
         })
     }
 
+    /// Whether a ray of a block of pixels may meet one of the balls, as seen from `eye`.
+    pub fn meets(&self, block: &Block, balls: &[PartBall], eye: Vec3) -> bool {
+        let cone = self.cone(block.x, block.y, block.width, block.height);
+        cone.is_none_or(|(axis, angle)| {
+            balls.iter().any(|ball| {
+                let to = ball.centre - eye;
+                let distance = to.length();
+                distance <= ball.radius
+                    || axis.angle_between(to) <= angle + (ball.radius / distance).asin() + 1e-3
+            })
+        })
+    }
+
     /// A cone around all rays of a block of pixels: axis and half angle, radians. `None` where the
     /// lens has no ray for a corner or the block spans too wide.
-    pub fn cone(&self, x: usize, y: usize, width: usize, height: usize) -> Option<(Vec3, f32)> {
+    fn cone(&self, x: usize, y: usize, width: usize, height: usize) -> Option<(Vec3, f32)> {
         let stride = self.width + 1;
         let corner = |i: usize, j: usize| self.corners[j * stride + i];
         let last = corner(x + width, y + height);

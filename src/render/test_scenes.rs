@@ -131,10 +131,11 @@ pub fn render(
         plate,
         stop: Stop::Samples(samples),
         numbers: Numbers::SobolOwen,
+        least_step: 0.0,
     };
     let mut integrator = integrator(method, job).unwrap();
     let context = Context::new(seed);
-    while !integrator.next_wave(&context).finished {}
+    while !integrator.next_wave(&context).finished() {}
     integrator.snapshot()
 }
 

@@ -6,13 +6,15 @@
 //! worlds the paths agree until they meet an object; with independent ones the difference is that of
 //! two noisy pictures.
 
-use super::coupled::{MAX_DEPTH, Pair};
+use super::Context;
+use super::albedo::AlbedoMap;
+use super::coupled::MAX_DEPTH;
+use super::film::{Pair, Sample};
 use super::primary::Primary;
 use super::sampler::{Purpose, Sampler, to_f32};
 use super::surface::{Colouring, LocalPoint, Surface};
-use super::waves::{Estimator, Sample};
+use super::waves::Estimator;
 use super::world::World;
-use super::{Context, waves};
 use crate::conventions::Rgb;
 use crate::trace::{Hit, Ray};
 
@@ -33,8 +35,8 @@ impl Estimator for TwoPass<'_> {
         &self.primary
     }
 
-    fn prepare(&mut self, context: &Context) {
-        waves::solve_albedo(&mut self.world, &self.primary, context);
+    fn solve_albedo(&mut self, context: &Context) {
+        AlbedoMap::solve(&mut self.world, &self.primary, context);
     }
 
     fn sample(&self, x: usize, y: usize, sampler: Sampler) -> Sample {

@@ -215,7 +215,7 @@ impl<'a> World<'a> {
 }
 
 /// True if all triangles lie in one plane (to 1e-5 of their extent) and look the same way.
-fn is_flat(meshes: &[&Mesh]) -> bool {
+pub fn is_flat(meshes: &[&Mesh]) -> bool {
     let bounds = meshes.iter().fold(crate::scene::Bounds::EMPTY, |b, m| b.union(&m.bounds()));
     let tolerance = 1e-5 * bounds.diameter();
     let mut plane: Option<(Vec3, f32)> = None;

@@ -203,7 +203,9 @@ pub struct RenderReport {
     /// Seconds on the clock and of all cores together.
     pub seconds: f64,
     pub cpu_seconds: Option<f64>,
-    /// False if the user stopped it before the stopping rule was met.
+    /// Pixels that the error leaves out: light found by chance, far noisier than around them.
+    pub outliers: u64,
+    /// False if it ended before the stopping rule was met.
     pub complete: bool,
 }
 

@@ -17,7 +17,7 @@ use super::watch::{Stopwatch, Watch, cpu_seconds};
 use super::write::{self, FileMark, OutFiles};
 use crate::composite::{Mode, compose};
 use crate::photo::PhotoError;
-use crate::render::{self, Context, Difference, Job, Numbers, RenderError, Stop};
+use crate::render::{self, Context, Difference, Job, Numbers, Progress, RenderError, Stop};
 use crate::report::{RenderReport, Report, ReportError};
 
 /// How to run, beside what the shot file says.
@@ -216,6 +216,7 @@ fn render_shot(
         plate: &plan.plate.linear,
         stop,
         numbers: Numbers::default(),
+        least_step: plan.plate.least_step(),
     };
     let mut integrator = render::integrator(prepared.method, job)?;
     make_folder(&files.folder)?;
@@ -226,8 +227,9 @@ fn render_shot(
         report.waves += 1;
         report.error = wave.error;
         watch.progress(wave.done, wave.error);
-        if wave.finished || context.is_cancelled() {
-            report.complete = wave.finished;
+        if wave.finished() {
+            report.complete = wave.progress == Progress::Met;
+            report.outliers = wave.outliers;
             break;
         }
         if report.waves == 1 {

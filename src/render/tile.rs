@@ -1,0 +1,235 @@
+//! A tile of pixels: what it has gathered, how wrong that is, and how many samples it should get.
+
+use super::film::{Estimate, Noise, Pixel, Sample};
+use super::guides::Block;
+use super::sampler::{Numbers, Sampler};
+use crate::conventions::Rgb;
+use crate::photo::Image;
+
+/// A pixel belongs to the influence region if the objects change it by more than this.
+pub const INFLUENCE: f64 = 0.01;
+/// Share of the influenced pixels that the pooled error leaves out: a caustic found by chance has no
+/// variance that more samples of its own kind would bring down, and must not take all the work.
+/// They are counted, and the standard error delivered for them stays what it is.
+const HEAVY_TAIL: f64 = 0.02;
+/// A pixel left out is told of if its variance is this many times the others' mean.
+const OUTLIER: f64 = 25.0;
+
+/// Samples and pooled error of a block of pixels.
+pub struct Tile {
+    pub block: Block,
+    /// Samples per replicate.
+    pub n: u32,
+    pub replicates: u32,
+    /// Replicates to add in the next wave.
+    pub planned: u32,
+    /// What is held came from the pilot and gives way to the first replicates of the picture.
+    pub pilot: bool,
+    /// Samples per replicate once the pilot has given way.
+    pub n_next: u32,
+    /// Only a focused reflection could be seen here.
+    pub doubtful: bool,
+    pub noise: TileNoise,
+    pixels: Vec<Pixel>,
+}
+
+/// Pooled error of a tile's influenced pixels, the worst [`HEAVY_TAIL`] left out; of all its pixels
+/// if none is influenced.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct TileNoise {
+    /// Mean relative variance of a single sample.
+    pub sample_variance: f64,
+    /// Mean relative variance reached.
+    pub variance: f64,
+    /// Pixels in the influence region.
+    pub influenced: f64,
+    /// Influenced pixels whose light is found by chance: far noisier than the others.
+    pub outliers: u64,
+    /// Largest change that a pixel shows, relative to its brightness.
+    pub largest_change: f64,
+}
+
+/// Brightnesses below which errors are not magnified and light counts as none.
+#[derive(Clone, Copy, Debug)]
+pub struct Floors {
+    pub error: f32,
+    pub dark: f32,
+}
+
+impl Tile {
+    pub fn new(block: Block) -> Self {
+        Self {
+            block,
+            n: 1,
+            replicates: 0,
+            planned: 0,
+            pilot: false,
+            n_next: 1,
+            doubtful: false,
+            noise: TileNoise::default(),
+            pixels: Vec::new(),
+        }
+    }
+
+    /// Samples a pixel that are held.
+    pub fn samples(&self) -> u32 {
+        self.n * self.replicates
+    }
+
+    /// Samples of all pixels that are planned.
+    pub fn work(&self) -> u64 {
+        let n = if self.pilot { self.n_next } else { self.n };
+        u64::from(n * self.planned) * self.block.n_pixels() as u64
+    }
+
+    /// Forgets what was gathered.
+    pub fn clear(&mut self) {
+        *self = Self::new(self.block);
+    }
+
+    /// Takes the planned replicates of `sample(x, y, sampler)`; returns the samples taken.
+    ///
+    /// Replicate r draws from the numbers of replicate `offset` + r.
+    pub fn render(
+        &mut self,
+        sample: impl Fn(usize, usize, Sampler) -> Sample,
+        seed: u64,
+        offset: u32,
+        numbers: Numbers,
+    ) -> u64 {
+        if self.pilot || self.pixels.is_empty() {
+            self.pixels = vec![Pixel::default(); self.block.n_pixels()];
+            self.replicates = 0;
+        }
+        if self.pilot {
+            (self.n, self.pilot) = (self.n_next, false);
+        }
+        let more = offset + self.replicates..offset + self.replicates + self.planned;
+        for (k, pixel) in self.pixels.iter_mut().enumerate() {
+            let (x, y) = self.block.pixel(k);
+            for replicate in more.clone() {
+                let mut sum = Sample::default();
+                for index in 0..self.n {
+                    sum += sample(x, y, Sampler::new(seed, (x, y), replicate, index, numbers));
+                }
+                pixel.add(sum * (1.0 / self.n as f32));
+            }
+        }
+        self.replicates += self.planned;
+        self.work()
+    }
+
+    /// What the tile's `k`-th pixel has come to; `None` if nothing was sampled.
+    pub fn estimate(&self, k: usize, plate: &Image<Rgb>, dark: f32) -> Option<Estimate> {
+        let plate = plate[self.block.pixel(k)];
+        self.pixels.get(k).map(|pixel| pixel.estimate(self.replicates, plate, dark))
+    }
+
+    /// Pools the errors of the pixels.
+    pub fn measure(&mut self, plate: &Image<Rgb>, floors: Floors) {
+        let noises: Vec<Noise> = (0..self.pixels.len())
+            .filter_map(|k| {
+                let estimate = self.estimate(k, plate, floors.dark)?;
+                Some(estimate.noise(plate[self.block.pixel(k)], floors.error))
+            })
+            .collect();
+        if noises.is_empty() {
+            return;
+        }
+        // A change counts if it stands out of the tile's noise; a pixel's own estimate of its noise,
+        // from few replicates, is often small by luck.
+        let background: Vec<f64> =
+            noises.iter().filter(|n| n.coverage == 0.0).map(|n| n.relative_variance).collect();
+        let sigma = pooled(&background).0.sqrt();
+        let seen = |n: &&Noise| n.coverage > 0.0 || n.change > INFLUENCE + 2.0 * sigma;
+        let mut influenced: Vec<&Noise> = noises.iter().filter(seen).collect();
+        // Few samples hide a change in noise: then the background's mean decides for all of it.
+        let excess: f64 = noises
+            .iter()
+            .filter(|n| n.coverage == 0.0)
+            .map(|n| (n.change - sigma).clamp(0.0, 1.0))
+            .sum();
+        if !background.is_empty() && excess > INFLUENCE * background.len() as f64 {
+            influenced = noises.iter().collect();
+        }
+        let of: Vec<f64> = if influenced.is_empty() {
+            noises.iter().map(|n| n.relative_variance).collect()
+        } else {
+            influenced.iter().map(|n| n.relative_variance).collect()
+        };
+        let (variance, outliers) = pooled(&of);
+        self.noise = TileNoise {
+            sample_variance: variance * f64::from(self.samples()),
+            variance,
+            influenced: influenced.len() as f64,
+            outliers: if influenced.is_empty() { 0 } else { outliers },
+            largest_change: noises.iter().map(|n| n.change).fold(0.0, f64::max),
+        };
+    }
+}
+
+/// Mean of variances without the heavy tail, and how many of the tail are outliers; 0 of nothing.
+fn pooled(variances: &[f64]) -> (f64, u64) {
+    let mut sorted = variances.to_vec();
+    sorted.sort_unstable_by(f64::total_cmp);
+    let kept = sorted.len() - (HEAVY_TAIL * sorted.len() as f64) as usize;
+    let mean = sorted[..kept].iter().sum::<f64>() / kept.max(1) as f64;
+    (mean, sorted[kept..].iter().filter(|&&v| v > OUTLIER * mean).count() as u64)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::render::sampler::Purpose;
+
+    const FLOORS: Floors = Floors { error: 1e-3, dark: 1e-6 };
+
+    /// A tile of which the first `n` pixels are covered by a noisy object.
+    fn tile(n: usize) -> (Tile, Image<Rgb>) {
+        let mut tile = Tile::new(Block { x: 0, y: 0, width: 16, height: 16 });
+        (tile.n, tile.planned) = (1, 8);
+        let sample = |x: usize, y: usize, sampler: Sampler| {
+            if 16 * y + x >= n {
+                return Sample::default();
+            }
+            let light = 1.0 + (sampler.one(Purpose::Choice) - 0.5);
+            Sample { coverage: 1.0, object: Rgb::splat(light), ..Sample::default() }
+        };
+        let taken = tile.render(sample, 5, 0, Numbers::Independent);
+        assert_eq!(taken, 8 * 256);
+        let plate = Image::filled(16, 16, Rgb::ONE);
+        tile.measure(&plate, FLOORS);
+        (tile, plate)
+    }
+
+    #[test]
+    fn a_thin_object_is_not_diluted_by_its_background() {
+        let (few, many) = (tile(8).0.noise, tile(256).0.noise);
+        assert_eq!((few.influenced, many.influenced), (8.0, 256.0));
+        // Uniform noise of ±½: variance 1/12 a sample, relative to about 1. Eight pixels of seven
+        // degrees of freedom each: 3 σ of the ratio is 0.57.
+        assert!((few.sample_variance * 12.0 - 1.0).abs() < 0.57, "{few:?}");
+        assert!((many.sample_variance * 12.0 - 1.0).abs() < 0.1, "{many:?}");
+    }
+
+    #[test]
+    fn the_pilot_gives_way_to_the_picture() {
+        let (mut tile, plate) = tile(256);
+        tile.pilot = true;
+        let pilot = tile.estimate(3, &plate, 1e-6);
+        (tile.n_next, tile.planned) = (1, 4);
+        tile.render(|_, _, _| Sample::default(), 5, 100, Numbers::Independent);
+        assert!(!tile.pilot && tile.replicates == 4);
+        assert_ne!(tile.estimate(3, &plate, 1e-6), pilot);
+        assert_eq!(tile.estimate(3, &plate, 1e-6), Some(Estimate::default()));
+    }
+
+    #[test]
+    fn pixels_of_chance_light_are_counted_not_pooled() {
+        let mut variances = vec![1.0; 98];
+        variances.extend([1e6, 2.0]);
+        let (mean, outliers) = pooled(&variances);
+        assert!((mean - 1.0).abs() < 0.02 && outliers == 1, "{mean} {outliers}");
+        assert_eq!(pooled(&[]), (0.0, 0));
+    }
+}
