@@ -23,6 +23,12 @@ struct Cap {
     end: f32,
 }
 
+impl Cap {
+    fn holds(&self, direction: Vec3) -> bool {
+        (direction - self.axis).length_squared() <= 2.0 * self.height
+    }
+}
+
 /// The caps of one point.
 pub struct Cones {
     caps: [Cap; MOST],
@@ -31,20 +37,22 @@ pub struct Cones {
     share: f32,
     /// False if every ball lies wholly below the surface's horizon.
     above: bool,
+    /// The point lies in a ball: objects may stand in any direction.
+    inside: bool,
 }
 
 impl Cones {
     /// Caps of `parts` over a surface at `x` with unit `normal`; they get at most `share` of the draws.
     pub fn new(parts: &[PartBall], x: Vec3, normal: Vec3, share: f32) -> Self {
         let empty = Cap { axis: Vec3::Y, height: 0.0, density: 0.0, end: 0.0 };
-        let mut cones = Self { caps: [empty; MOST], n: 0, share: 0.0, above: false };
+        let mut cones = Self { caps: [empty; MOST], n: 0, share: 0.0, above: false, inside: false };
         let (mut sum, mut inside) = (0.0, 0.0);
         for part in parts.iter().take(MOST) {
             let to = part.centre - x;
             let (distance2, radius2) = (to.length_squared(), part.radius * part.radius);
             if distance2 <= radius2 * 1.0001 {
                 inside += 1.0;
-                cones.above = true;
+                (cones.above, cones.inside) = (true, true);
                 continue;
             }
             let distance = distance2.sqrt();
@@ -86,13 +94,14 @@ impl Cones {
         self.above
     }
 
+    /// False if no object stands in `direction`.
+    pub fn may_meet(&self, direction: Vec3) -> bool {
+        self.inside || self.caps[..self.n].iter().any(|cap| cap.holds(direction))
+    }
+
     /// Density per steradian of drawing `direction` from a cap, times the caps' share.
     pub fn pdf(&self, direction: Vec3) -> f32 {
-        self.caps[..self.n]
-            .iter()
-            .filter(|cap| (direction - cap.axis).length_squared() <= 2.0 * cap.height)
-            .map(|cap| cap.density)
-            .sum()
+        self.caps[..self.n].iter().filter(|cap| cap.holds(direction)).map(|cap| cap.density).sum()
     }
 
     /// A direction from the caps; `choice` in [0, share).

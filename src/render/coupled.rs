@@ -305,15 +305,18 @@ impl Look<'_> {
         let world = self.world;
         let u = sampler.pair(purpose_of(stratum));
         let Some(light) = world.lights.sample(stratum, u) else { return };
+        let may_block = self.want.difference() && self.cones.may_meet(light.direction);
+        let ends_without_object = self.exact || !self.want.without();
+        if !may_block && ends_without_object {
+            return;
+        }
         let (value, bsdf_pdf) = self.surface.evaluate(light.direction);
         if value == Rgb::ZERO || light.radiance == Rgb::ZERO {
             return;
         }
         let ray = self.surface.leave(light.direction);
-        let blocked = self.want.difference()
-            && self.cones.any_above()
-            && world.object_occluded(&ray, sampler);
-        if !blocked && self.exact {
+        let blocked = may_block && world.object_occluded(&ray, sampler);
+        if !blocked && ends_without_object {
             return;
         }
         let hidden = !world.flat && world.local_occluded(&ray, sampler);
