@@ -223,7 +223,7 @@ pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
         }
         None => photographed(&wishes, &mut warnings)?,
     };
-    let panorama = in_world_axes(panorama);
+    let panorama = file::in_world_axes(&panorama).into_owned();
     file::write(&args.out, &panorama)?;
     if let (Some(path), Some(drawn)) = (&args.overlay, &overlay) {
         write_png(path, drawn)?;
@@ -248,32 +248,6 @@ fn layout(kind: &Kind) -> Option<file::Layout> {
         (kind.lat_long, file::Layout::LatLong),
     ];
     layouts.into_iter().find(|(chosen, _)| *chosen).map(|(_, layout)| layout)
-}
-
-/// A file's texels are in the world's axes: a turned panorama is resampled once.
-fn in_world_axes(panorama: Panorama) -> Panorama {
-    let turn = panorama.world_from_panorama;
-    if turn.angle_between(glam::DQuat::IDENTITY) < 1e-12 {
-        return panorama;
-    }
-    let mapping =
-        crate::probe::mapping::LatLong { width: panorama.width(), height: panorama.height() };
-    let source = Radiance {
-        mean: panorama.radiance,
-        variance: panorama.variance,
-        validity: panorama.validity,
-    };
-    let back = DMat3::from_quat(turn.conjugate());
-    let mut turned = to_lat_long(&source, &mapping, back, mapping.width);
-    turned.place = panorama.place;
-    let coverage = |l: Image<f32>| Radiance {
-        mean: l.map(|c| Rgb::splat(*c)),
-        variance: l.map(|_| Rgb::ZERO),
-        validity: l.map(|_| Validity::Measured),
-    };
-    let seen = to_lat_long(&coverage(panorama.coverage), &mapping, back, mapping.width);
-    turned.coverage = seen.radiance.map(|c| c.x);
-    turned
 }
 
 /// Ball or fisheye: merge, find, unwrap.

@@ -13,7 +13,7 @@ pub enum PhotoError {
     #[error("{}: {found}; Platelight reads EXR, Radiance HDR, PNG, TIFF and JPEG{hint}", path.display())]
     NotAPicture { path: PathBuf, found: String, hint: &'static str },
     #[error(
-        "{}: {what} needs {} MiB, more than the limit of {} MiB; use a smaller picture or raise the limit",
+        "{}: {what} needs {} MiB, more than the limit of {} MiB; crop it or scale it down",
         path.display(), bytes >> 20, limit >> 20
     )]
     TooLarge { path: PathBuf, what: String, bytes: u64, limit: u64 },

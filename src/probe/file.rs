@@ -5,16 +5,17 @@
 //! [`photo::read`](crate::photo::read()) reads; a lat-long must be 2:1, so that a mapping taken for
 //! another is an error and not half a sphere of wrong directions (F27).
 
+use std::borrow::Cow;
 use std::path::Path;
 
 use glam::{DMat3, DQuat, DVec3};
 
 use super::ProbeError;
-use super::mapping::{Angular, BallMap, CubeCross};
+use super::mapping::{Angular, BallMap, CubeCross, LatLong};
 use super::panorama::Panorama;
 use super::resample::to_lat_long;
 use super::unwrap::check_width;
-use crate::bracket::{self, Radiance};
+use crate::bracket::{self, Radiance, Validity};
 use crate::conventions::Rgb;
 use crate::photo::exr_file::{self, ExrAttributes, ExrPicture, ExrSamples, LINEAR_REC709};
 use crate::photo::{self, Format, Image, PhotoError, ReadOptions};
@@ -31,11 +32,11 @@ pub enum Layout {
     Cube,
 }
 
-/// Writes a panorama.
+/// Writes a panorama, its texels in the world's axes: a turned one is resampled once.
 pub fn write(path: &Path, panorama: &Panorama) -> Result<(), PhotoError> {
+    let panorama = &*in_world_axes(panorama);
     let comments = serde_json::json!({
         "what": "lat-long panorama: +Z in the middle, +X left of it, +Y up; texel areas tile the sphere",
-        "world_from_panorama_xyzw": panorama.world_from_panorama.to_array(),
         "place_m": panorama.place.to_array(),
         "validity": "0 measured, 1 single, 2 lower bound, 3 upper bound, 4 moved, 5 filled, 6 analytic",
     });
@@ -61,6 +62,31 @@ pub fn write(path: &Path, panorama: &Panorama) -> Result<(), PhotoError> {
     picture.push("validity.Y", ExrSamples::U32(classes));
     picture.push("coverage.Y", ExrSamples::F32(panorama.coverage.pixels().to_vec()));
     exr_file::write(path, &picture)
+}
+
+/// The same light with its texels in the world's axes; resampled if it was turned.
+pub fn in_world_axes(panorama: &Panorama) -> Cow<'_, Panorama> {
+    let turn = panorama.world_from_panorama;
+    if turn.angle_between(DQuat::IDENTITY) < 1e-12 {
+        return Cow::Borrowed(panorama);
+    }
+    let mapping = LatLong { width: panorama.width(), height: panorama.height() };
+    let back = DMat3::from_quat(turn.conjugate());
+    let source = Radiance {
+        mean: panorama.radiance.clone(),
+        variance: panorama.variance.clone(),
+        validity: panorama.validity.clone(),
+    };
+    let mut turned = to_lat_long(&source, &mapping, back, mapping.width);
+    turned.place = panorama.place;
+    let coverage = Radiance {
+        mean: panorama.coverage.map(|c| Rgb::splat(*c)),
+        variance: panorama.coverage.map(|_| Rgb::ZERO),
+        validity: panorama.coverage.map(|_| Validity::Measured),
+    };
+    let seen = to_lat_long(&coverage, &mapping, back, mapping.width);
+    turned.coverage = seen.radiance.map(|c| c.x);
+    Cow::Owned(turned)
 }
 
 /// A panorama read, and what was not right with its file.
@@ -218,6 +244,27 @@ mod tests {
         assert_eq!(back.variance, panorama.variance);
         assert_eq!(back.validity, panorama.validity);
         assert_eq!(back.coverage, panorama.coverage);
+    }
+
+    #[test]
+    fn a_turned_panorama_is_written_in_the_worlds_axes() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("turned.exr");
+        let smooth = Image::from_fn(64, 32, |x, y| {
+            let d = crate::conventions::lat_long_direction(DVec2::new(x as f64, y as f64), 64, 32);
+            Rgb::splat(2.0 + d.x as f32)
+        });
+        // A quarter about +Y takes the map's +X to the world's −Z.
+        let turn = DQuat::from_rotation_y(std::f64::consts::FRAC_PI_2);
+        let mut turned = Panorama::from_radiance(smooth).rotated(turn);
+        turned.place = DVec3::new(0.1, 0.2, 0.3);
+        write(&path, &turned).unwrap();
+        let read = read(&path, Layout::LatLong, DQuat::IDENTITY, None).unwrap().panorama;
+        for (x, y) in [(3, 16), (20, 10), (40, 20), (60, 15)] {
+            let d = read.direction(x, y);
+            let l = f64::from(read.radiance[(x, y)].x);
+            assert!((l - (2.0 - d.z)).abs() < 0.02, "{d}: {l}");
+        }
     }
 
     #[test]

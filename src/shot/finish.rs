@@ -76,6 +76,14 @@ pub fn finish(
     let mut warnings = [&plan.warnings[..], &prepared.warnings[..]].concat();
     let n_told = warnings.len();
     warnings.extend(composite_warnings(&composite, encoded.clamped));
+    if render.outliers > 0 {
+        warnings.push(Warning::new(
+            "render",
+            "some pixels caught light that is found by chance (a sun mirrored by an object); the error \
+             reached leaves them out, the layer stderr does not",
+            format!("{} pixels", render.outliers),
+        ));
+    }
     let solved = solved_albedos(&prepared.scene, &difference.albedo);
     warnings.extend(scale_warning(&solved));
     if let Some(ground) = place::ground(plan) {

@@ -44,7 +44,7 @@ impl OutFiles {
 pub struct FileMark {
     pub file: PathBuf,
     pub bytes: u64,
-    /// Seconds since 1970; 0 where the system does not say.
+    /// Nanoseconds since 1970; 0 where the system does not say.
     pub modified: u64,
 }
 
@@ -57,7 +57,7 @@ impl FileMark {
         Some(Self {
             file: path.to_owned(),
             bytes: metadata.len(),
-            modified: since.map_or(0, |since| since.as_secs()),
+            modified: since.map_or(0, |since| since.as_nanos() as u64),
         })
     }
 }
