@@ -32,7 +32,7 @@ use crate::probe::{Ball, Panorama, clipped_regions, file};
 #[command(
     after_help = "Examples:\n  platelight panorama ball_b*.jpg --ball --camera camera.json -o pano.exr --preview pano.png\n  \
                         platelight panorama ball.jpg --ball --focal-px 1264 --hint 755,549,73 -o pano.exr\n  \
-                        platelight panorama sky.exr --fisheye equidistant --fov 180 --rotation -90,0,0 -o pano.exr\n  \
+                        platelight panorama sky.exr --fisheye equidistant --fov 180 --rotation 90,0,0 -o pano.exr\n  \
                         platelight panorama grace_probe.hdr --angular -o grace.exr"
 )]
 pub struct Args {

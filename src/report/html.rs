@@ -15,7 +15,7 @@ h1{font-size:1.6rem}h2{font-size:1.15rem;margin-top:2.2rem;border-bottom:1px sol
 table{border-collapse:collapse}td,th{padding:.15rem .9rem .15rem 0;text-align:left;vertical-align:top}
 td.n{text-align:right;font-variant-numeric:tabular-nums}
 .pair{position:relative}.pair img{width:100%;display:block}.pair img+img{position:absolute;inset:0}
-input[type=range]{width:100%}figure{margin:1rem 0}figure img{max-width:100%}figcaption,.note{color:#555}
+input[type=range]{width:100%}.ends{display:flex;justify-content:space-between;margin-top:0}figure{margin:1rem 0}figure img{max-width:100%}figcaption,.note{color:#555}
 .warning{border-left:4px solid #d80;padding:.2rem .8rem;margin:.5rem 0;background:#fff6e5}
 details pre{overflow:auto;background:#eee;padding:.6rem}
 @media(prefers-color-scheme:dark){body{background:#1b1b1b;color:#ddd}.warning{background:#3a2d10}figcaption,.note{color:#aaa}details pre{background:#2a2a2a}}";
@@ -50,10 +50,11 @@ fn page(report: &Report, before: &str, after: &str) -> Markup {
                 h1 { "Platelight report" }
                 div.pair {
                     img src=(before) alt="the plate";
-                    img src=(after) alt="the plate with the objects" style="clip-path:inset(0 0 0 50%)";
+                    img src=(after) alt="the plate with the objects" style="clip-path:inset(0 0 0 0%)";
                 }
-                input type="range" min="0" max="100" value="50" oninput=(SLIDE)
+                input type="range" min="0" max="100" value="0" oninput=(SLIDE)
                     aria-label="before and after";
+                p.note.ends { span { "result" } span { "plate" } }
                 (warnings(report))
                 (budget(report))
                 h2 { "Camera" } (camera(report))

@@ -96,7 +96,7 @@ fn predicted_time(plan: &Plan) -> String {
 }
 
 /// Samples a pixel with which the truth scenes reach an error of 1 %.
-const SAMPLES_FOR_ONE_PERCENT: f64 = 1000.0;
+const SAMPLES_FOR_ONE_PERCENT: f64 = 250.0;
 
 /// Seconds on this machine's cores for `samples` in every pixel.
 fn seconds(plan: &Plan, samples: f64) -> f64 {

@@ -212,16 +212,23 @@ fn percent(part: u64, whole: u64) -> f64 {
 
 /// A surface that seems to give back more light than it gets: plate and probe disagree (R9.2).
 fn scale_warning(solved: &[Rgb]) -> Option<Warning> {
-    let too_white = solved.iter().filter(|albedo| albedo.max_element() > 0.95).count();
-    let share = percent(too_white as u64, solved.len() as u64);
-    (share > 5.0).then(|| {
-        Warning::new(
-            "plate.exposure",
-            "the support seems to reflect more than 95 % of its light: the exposures of plate and \
-             probe, the ball's reflectance or the sun's strength are wrong, or light comes from near by",
-            format!("{share:.0} % of the support's pixels"),
-        )
-    })
+    let mut too_white: Vec<f32> =
+        solved.iter().map(|albedo| albedo.max_element()).filter(|&a| a > 0.95).collect();
+    let share = percent(too_white.len() as u64, solved.len() as u64);
+    if share <= 5.0 {
+        return None;
+    }
+    let middle = too_white.len() / 2;
+    let albedo = *too_white.select_nth_unstable_by(middle, f32::total_cmp).1;
+    Some(Warning::new(
+        "plate.exposure",
+        "the support seems to reflect more than 95 % of its light: the exposures of plate and probe, \
+         the ball's reflectance or the sun's strength are wrong, or light comes from near by; correct \
+         them, or set plate.relative_exposure, until the albedo is one the surface can have",
+        format!(
+            "{share:.0} % of the support's pixels; albedo {albedo:.2} there, shadows turn to glows"
+        ),
+    ))
 }
 
 /// A shadow that reaches the border of the modelled support is cut off there (R9.8).
