@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use serde::Serialize;
 
+use super::error::refuse_to_overwrite;
 use super::{CliError, Global, Outcome, targets};
 use crate::camera::{Camera, Pose, file};
 use crate::report::{CameraReport, Warning};
@@ -57,6 +58,8 @@ pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
                 .map_err(|cause| CliError::wrong(format!("{}: {cause}", photo.display())))?,
         );
     }
+    let photos: Vec<&std::path::Path> = files.iter().map(PathBuf::as_path).collect();
+    refuse_to_overwrite(&photos, &[&args.out])?;
     let (found, _) = calibrate::from_boards(&files, &board)?;
     let FoundLens { lens, width, height, report, rungs, warnings } = &found;
     let camera =

@@ -1,6 +1,7 @@
 //! What a command says when it cannot do what was asked.
 
 use std::error::Error;
+use std::path::Path;
 
 /// One or more sentences for the person at the terminal: file or key, what was found, what to do.
 ///
@@ -8,6 +9,25 @@ use std::error::Error;
 #[derive(Debug)]
 pub struct CliError {
     problems: Vec<String>,
+}
+
+/// Refuses to write over a file that is read, or twice to one file.
+pub(super) fn refuse_to_overwrite(inputs: &[&Path], outputs: &[&Path]) -> Result<(), CliError> {
+    let place = |path: &Path| std::fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
+    for (i, output) in outputs.iter().enumerate() {
+        let taken = place(output);
+        if inputs.iter().any(|input| place(input) == taken) {
+            let path = output.display();
+            return Err(CliError::wrong(format!(
+                "{path}: is read and would be overwritten; name another file to write"
+            )));
+        }
+        if outputs[..i].iter().any(|other| place(other) == taken) {
+            let path = output.display();
+            return Err(CliError::wrong(format!("{path}: is named twice to be written")));
+        }
+    }
+    Ok(())
 }
 
 impl CliError {

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use glam::DVec3;
 use serde::Serialize;
 
+use super::error::refuse_to_overwrite;
 use super::{CliError, Global, Outcome, calibrate};
 use crate::camera::{Camera, file};
 use crate::photo::{self, ReadOptions};
@@ -89,6 +90,9 @@ struct Summary {
 }
 
 pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
+    if let Some(out) = &args.out {
+        refuse_to_overwrite(&[&args.photo], &[out])?;
+    }
     let read = file::read(&args.camera)?;
     let photo = photo::read(&args.photo, &ReadOptions::default())?;
     let size = [photo.linear.width(), photo.linear.height()];

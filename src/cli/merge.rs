@@ -1,9 +1,10 @@
 //! `platelight merge`: the photographs of a bracket → one EXR of radiance.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
+use super::error::refuse_to_overwrite;
 use super::{CliError, Global, Outcome};
 use crate::bracket::{
     self, Frame, MergeOptions, Merged, Noise, ResponseSource, Validity, exposure,
@@ -75,6 +76,8 @@ struct FrameSummary {
 }
 
 pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
+    let photos: Vec<&Path> = args.photos.iter().map(PathBuf::as_path).collect();
+    refuse_to_overwrite(&photos, &[&args.out])?;
     let options = ReadOptions { colour: colour::named(&args.colour)?, ..ReadOptions::default() };
     let photos = read_all(&args.photos, &options)?;
     for photo in &photos {

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use glam::{DMat3, DQuat, DVec2, DVec3, Vec3};
 use serde::Serialize;
 
+use super::error::refuse_to_overwrite;
 use super::{CliError, Global, Outcome};
 use crate::bracket::{self, Frame, MergeOptions, Radiance, Validity, exposure};
 use crate::camera::lens::focal_px_from_35mm;
@@ -210,6 +211,14 @@ struct Photographed {
 }
 
 pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
+    let photos: Vec<&Path> = args.photos.iter().map(PathBuf::as_path).collect();
+    let further = [&args.preview, &args.overlay].into_iter().flatten();
+    let outputs: Vec<&Path> =
+        [&args.out].into_iter().chain(further).map(PathBuf::as_path).collect();
+    refuse_to_overwrite(&photos, &outputs)?;
+    if args.overlay.is_some() && !args.kind.ball {
+        return Err(CliError::wrong("--overlay draws a ball's rim; only --ball has one"));
+    }
     let wishes = Wishes::judge(args)?;
     let mut warnings = Vec::new();
     let Photographed { panorama, ball: found, overlay } = match layout(&args.kind) {

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use serde::Serialize;
 
+use super::error::refuse_to_overwrite;
 use super::{CliError, Global, Outcome};
 use crate::photo::tone::{self, ToneCurve};
 use crate::photo::{self, Encoding, EncodingSource, Primaries, ReadOptions, Transfer, colour, png};
@@ -62,6 +63,8 @@ pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
         layer: args.layer.clone(),
         ..ReadOptions::default()
     };
+    let out = args.out.clone().unwrap_or_else(|| args.picture.with_extension("preview.png"));
+    refuse_to_overwrite(&[&args.picture], &[&out])?;
     let photo = photo::read(&args.picture, &options)?;
     let stops = match args.exposure.as_str() {
         "auto" => tone::automatic_stops(&photo.linear),
@@ -76,7 +79,6 @@ pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
     let shown = tone::display(&photo.linear, stops, curve);
     let white = shown.pixels().iter().filter(|l| l.min_element() >= 1.0).count() as f64
         / shown.pixels().len() as f64;
-    let out = args.out.clone().unwrap_or_else(|| args.picture.with_extension("preview.png"));
     let encoding = Encoding {
         transfer: Transfer::Srgb,
         primaries: Primaries::Rec709,

@@ -13,6 +13,13 @@ pub fn write<E: From<io::Error>>(
     path: &Path,
     fill: impl FnOnce(&mut File) -> Result<(), E>,
 ) -> Result<(), E> {
+    // What a link points to is replaced, not the link; devices and pipes cannot be.
+    let target = match std::fs::metadata(path) {
+        Ok(there) if there.is_file() => std::fs::canonicalize(path)?,
+        Ok(_) => return Err(io::Error::other("it exists and is no regular file").into()),
+        Err(_) => path.to_owned(),
+    };
+    let path = target.as_path();
     let folder = match path.parent() {
         Some(parent) if !parent.as_os_str().is_empty() => parent,
         _ => Path::new("."),
@@ -63,6 +70,19 @@ mod tests {
         File::create(folder.path().join("plain")).unwrap();
         write(&folder.path().join("ours"), |f| f.write_all(b"x")).unwrap();
         assert_eq!(mode("ours"), mode("plain"));
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_link_stays_a_link_and_a_folder_is_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let (file, link) = (folder.path().join("file"), folder.path().join("link"));
+        write(&file, |f| f.write_all(b"old")).unwrap();
+        std::os::unix::fs::symlink(&file, &link).unwrap();
+        write(&link, |f| f.write_all(b"new")).unwrap();
+        assert_eq!(std::fs::read(&file).unwrap(), b"new");
+        assert!(std::fs::symlink_metadata(&link).unwrap().is_symlink());
+        assert!(write(folder.path(), |f| f.write_all(b"x")).is_err());
     }
 
     #[test]

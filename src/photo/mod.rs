@@ -272,8 +272,13 @@ struct Decoded {
 /// No content of a file panics or allocates much more than [`ReadOptions::max_bytes`].
 pub fn read(path: &Path, options: &ReadOptions) -> Result<Photo, PhotoError> {
     let fail = |source| PhotoError::Read { path: path.into(), source };
+    // Asked before it is opened: a pipe without a writer would never open, a device never end.
+    let metadata = std::fs::metadata(path).map_err(fail)?;
+    if !metadata.is_file() {
+        return Err(fail(std::io::Error::other("it is no regular file")));
+    }
     let file = std::fs::File::open(path).map_err(fail)?;
-    let length = file.metadata().map_err(fail)?.len();
+    let length = metadata.len();
     let limit = options.max_bytes;
     if length > limit {
         let what = "the file".into();

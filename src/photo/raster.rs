@@ -84,6 +84,10 @@ pub(super) fn decode_jpeg(
         let failed = |e| image_error(path, "JPEG", e);
         let frame = jpeg_frame(bytes)
             .ok_or_else(|| PhotoError::damaged(path, "JPEG", "no frame header found"))?;
+        if !frame.whole {
+            // The decoder would fill the rest with grey.
+            return Err(PhotoError::damaged(path, "JPEG", "it ends before the picture does"));
+        }
         if frame.components != 1 && frame.components != 3 {
             let found = format!("a JPEG of {} components (CMYK)", frame.components);
             return Err(PhotoError::unsupported(path, found, "convert it to RGB"));
@@ -195,6 +199,8 @@ fn image_error(path: &Path, format: &'static str, error: ImageError) -> PhotoErr
 struct JpegFrame {
     size: (u64, u64),
     components: u8,
+    /// The end of the picture is there.
+    whole: bool,
 }
 
 /// Reads the first SOF marker, without decoding anything.
@@ -215,7 +221,9 @@ fn jpeg_frame(bytes: &[u8]) -> Option<JpegFrame> {
             0xc0..=0xcf if !matches!(marker, 0xc4 | 0xc8 | 0xcc) => {
                 let frame = bytes.get(at..at + 8)?;
                 let be = |i: usize| u64::from(u16::from_be_bytes([frame[i], frame[i + 1]]));
-                return Some(JpegFrame { size: (be(5), be(3)), components: frame[7] });
+                // In coded data 0xff is followed by 0 or a restart: only the end reads so.
+                let whole = bytes[at..].windows(2).any(|pair| pair == [0xff, 0xd9]);
+                return Some(JpegFrame { size: (be(5), be(3)), components: frame[7], whole });
             }
             0x01 | 0xd0..=0xd8 => {}
             0xd9 | 0xda => return None,

@@ -299,6 +299,8 @@ fn read_plate(keys: &Keys, folder: &Path) -> Option<PlateKeys> {
     Some(PlateKeys { file: folder.join(file?), frames, colour, exposure, relative_exposure })
 }
 
+/// Side beyond which the f32 of meshes would lose the shadows of things of a metre, metres.
+const LARGEST_PLANE: f64 = 1e4;
 const SUPPORT: &[&str] = &["plane", "mesh", "albedo"];
 
 fn read_support(keys: &Keys, folder: &Path) -> Option<Support> {
@@ -319,6 +321,9 @@ fn read_support(keys: &Keys, folder: &Path) -> Option<Support> {
         _ => {
             let plane = keys.table("plane", &["size", "at", "normal"])?;
             let size = plane.positives("size");
+            if size.is_some_and(|size: [f64; 2]| size.iter().any(|&side| side > LARGEST_PLANE)) {
+                plane.problem("size", "is larger than 10 km; give what the picture shows");
+            }
             SupportShape::Plane {
                 size: plane.need("size", size, "give its two sides in metres, [3.0, 3.0]")?,
                 at: plane.numbers("at").unwrap_or_default(),

@@ -76,6 +76,24 @@ pub fn finish(
     let mut warnings = [&plan.warnings[..], &prepared.warnings[..]].concat();
     let n_told = warnings.len();
     warnings.extend(composite_warnings(&composite, encoded.clamped));
+    if composite.tally.changed == 0 && !plan.objects.is_empty() {
+        warnings.push(Warning::new(
+            "object",
+            "no object changes a pixel: they are behind the camera, outside the picture, under the \
+             support or too small; check at, scale and the support's overlay",
+            "the result is the plate itself",
+        ));
+    }
+    if let super::file::StopKeys::Error(target) = plan.shot.render.stop
+        && render.complete
+        && render.error > 1.1 * target
+    {
+        warnings.push(Warning::new(
+            "render.error",
+            "the error asked for was not reached with 65 536 samples a pixel",
+            format!("{:.3} % instead of {:.3} %", 100.0 * render.error, 100.0 * target),
+        ));
+    }
     if render.outliers > 0 {
         warnings.push(Warning::new(
             "render",

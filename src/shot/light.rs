@@ -235,6 +235,13 @@ pub fn light(
     let lights = found.with_discs(suns.into_iter().map(|(disc, _)| disc));
     warnings.extend(repaired_warning(&lights, &panorama));
 
+    if lights.is_dark() {
+        warnings.push(Warning::new(
+            "probe",
+            "the panorama is black: nothing lights the objects; look at panorama.exr",
+            "objects are black",
+        ));
+    }
     let lights_report = LightsReport {
         irradiance_up: lights.irradiance(glam::Vec3::Y).as_dvec3().to_array(),
         suns: lights.suns.iter().map(sun_report).collect(),

@@ -138,6 +138,7 @@ fn run_one(
     stopwatch.begin("read the shot", watch);
     let (plan, prepared) = shared.plan(shot).map_err(RunError::Problems)?;
     let inputs: Vec<FileMark> = plan.inputs.iter().filter_map(|path| FileMark::of(path)).collect();
+    refuse_to_overwrite(files, &inputs)?;
     let report_path = files.path("report", "json");
     if options.skip_existing
         && existing::is_complete(&report_path, &settings, context.seed, &inputs)
@@ -177,6 +178,25 @@ fn check_folder(folder: &Path) -> Result<(), RunError> {
         return Err(RunError::Folder { folder: folder.to_owned(), cause });
     }
     Ok(())
+}
+
+/// Results must not take the place of what the shot is made from.
+fn refuse_to_overwrite(files: &OutFiles, inputs: &[FileMark]) -> Result<(), RunError> {
+    let Ok(folder) = std::fs::canonicalize(&files.folder) else { return Ok(()) };
+    let taken = inputs.iter().find(|input| {
+        std::fs::canonicalize(&input.file).is_ok_and(|file| {
+            let name = file.file_name().and_then(|name| name.to_str()).unwrap_or_default();
+            file.parent() == Some(&folder) && files.is_result(name)
+        })
+    });
+    match taken {
+        None => Ok(()),
+        Some(input) => Err(RunError::Problems(vec![format!(
+            "--out {}: {} is an input of the shot and would be overwritten; name another folder",
+            files.folder.display(),
+            input.file.display()
+        )])),
+    }
 }
 
 fn make_folder(folder: &Path) -> Result<(), RunError> {
@@ -228,7 +248,7 @@ fn render_shot(
         report.error = wave.error;
         watch.progress(wave.done, wave.error);
         if wave.finished() {
-            report.complete = wave.progress == Progress::Met;
+            report.complete = wave.progress != Progress::Cancelled;
             report.outliers = wave.outliers;
             break;
         }

@@ -25,6 +25,21 @@ impl OutFiles {
         Self { folder: folder.to_owned(), frame: frame.map(|n| format!("{n:04}")) }
     }
 
+    /// Whether a run may write a file of this name.
+    pub fn is_result(&self, name: &str) -> bool {
+        const NAMES: [(&str, &str); 7] = [
+            ("composite", "exr"),
+            ("composite", "png"),
+            ("panorama", "exr"),
+            ("camera", "json"),
+            ("before", "png"),
+            ("report", "json"),
+            ("report", "html"),
+        ];
+        name.starts_with("overlay_")
+            || NAMES.iter().any(|(stem, extension)| self.name(stem, extension) == name)
+    }
+
     /// The path of `stem.extension` with the frame's number between them.
     pub fn path(&self, stem: &str, extension: &str) -> PathBuf {
         self.folder.join(self.name(stem, extension))

@@ -1,0 +1,86 @@
+//! Nothing that is read is ever written over, and nothing odd is taken for a whole picture.
+
+mod tiny;
+
+use std::fs;
+use std::path::Path;
+use std::process::Output;
+
+use assert_cmd::Command;
+use tiny::{Plate, write_cube, write_shot};
+
+fn platelight(arguments: &[&str]) -> Output {
+    Command::cargo_bin("platelight")
+        .expect("the program is built")
+        .args(arguments)
+        .output()
+        .expect("the program starts")
+}
+
+fn text(path: &Path) -> &str {
+    path.to_str().expect("temporary paths are text")
+}
+
+/// Runs, and holds that it is refused with `sentence` and that `file` stays as it was.
+fn assert_refused(arguments: &[&str], file: &Path, sentence: &str) {
+    let before = fs::read(file).expect("the file is there");
+    let output = platelight(arguments);
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(2), "{arguments:?}: {said}");
+    assert!(said.contains(sentence), "{said}");
+    assert!(fs::read(file).expect("the file is there") == before, "{arguments:?} changed a file");
+}
+
+#[test]
+fn a_run_into_its_own_folder_keeps_camera_and_panorama() {
+    for plate in [Plate::ExrFloat, Plate::ExrHalf, Plate::Png16, Plate::Png8] {
+        let folder = tempfile::tempdir().unwrap();
+        let object = write_cube(folder.path(), 0.2);
+        let shot = write_shot(folder.path(), plate, &object);
+        let arguments = ["run", text(&shot), "--out", text(folder.path())];
+        for file in ["camera.json", "panorama.exr"] {
+            assert_refused(&arguments, &folder.path().join(file), "would be overwritten");
+        }
+    }
+}
+
+#[test]
+fn no_command_writes_over_what_it_reads() {
+    let folder = tempfile::tempdir().unwrap();
+    write_shot(folder.path(), Plate::Png8, "");
+    let (plate, panorama) = (folder.path().join("plate.png"), folder.path().join("panorama.exr"));
+    let (p, e) = (text(&plate), text(&panorama));
+    let other = folder.path().join("other.exr");
+    let o = text(&other);
+    assert_refused(&["preview", p, "--out", p], &plate, "would be overwritten");
+    assert_refused(&["merge", p, "--times", "1", "--out", p], &plate, "would be overwritten");
+    assert_refused(&["panorama", e, "--lat-long", "--out", e], &panorama, "would be overwritten");
+    let twice = ["panorama", e, "--lat-long", "--out", o, "--preview", o];
+    assert_refused(&twice, &panorama, "named twice");
+    assert!(!other.exists());
+}
+
+#[test]
+fn half_a_jpeg_is_damaged() {
+    let folder = tempfile::tempdir().unwrap();
+    let whole = Path::new(env!("CARGO_MANIFEST_DIR")).join("plates/demo/tag.jpg");
+    let bytes = fs::read(whole).unwrap();
+    let half = folder.path().join("half.jpg");
+    fs::write(&half, &bytes[..bytes.len() / 2]).unwrap();
+    let out = folder.path().join("out.png");
+    let arguments = ["preview", text(&half), "--out", text(&out)];
+    assert_refused(&arguments, &half, "ends before the picture does");
+    assert!(!out.exists());
+}
+
+#[test]
+fn objects_that_nobody_sees_are_told_of() {
+    let folder = tempfile::tempdir().unwrap();
+    let behind = format!("{}at = [0.0, 0.0, 50.0]\n", write_cube(folder.path(), 0.2));
+    let shot = write_shot(folder.path(), Plate::Png8, &behind);
+    let out = folder.path().join("out");
+    let output = platelight(&["run", text(&shot), "--out", text(&out)]);
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(0), "{said}");
+    assert!(said.contains("no object changes a pixel"), "{said}");
+}
