@@ -69,7 +69,7 @@ file = "props.glb"
              rotate = [0.0, {turn:.1}, 0.0]\nscale = {scale:.3}\n"
         );
     }
-    text + "\n[render]\nerror = 0.04                       # under a CPU minute; 0.01 asks for a clean picture\n"
+    text + "\n[render]\nerror = 0.045                      # under a CPU minute; 0.01 asks for a clean picture\n"
 }
 
 /// `at`, `facing` and `up` of a sheet: the centre of a tag's square, and of a board's corner grid.
