@@ -1,24 +1,17 @@
 //! The program as a person meets it: help, exit codes, messages, and nothing written on an error.
 
+mod program;
 mod tiny;
 
 use std::path::{Path, PathBuf};
 use std::process::Output;
 
-use assert_cmd::Command;
 use platelight::render::Context;
 use platelight::shot::ShotFile;
 use platelight::shot::run::{RunError, RunOptions, run_frames};
 use platelight::shot::watch::{Silent, Watch};
+use program::{platelight, text};
 use tiny::{Plate, write_cube, write_shot};
-
-fn platelight(arguments: &[&str]) -> Output {
-    Command::cargo_bin("platelight")
-        .expect("the program is built")
-        .args(arguments)
-        .output()
-        .expect("the program starts")
-}
 
 fn stderr(output: &Output) -> String {
     String::from_utf8_lossy(&output.stderr).into_owned()
@@ -26,10 +19,6 @@ fn stderr(output: &Output) -> String {
 
 fn stdout(output: &Output) -> String {
     String::from_utf8_lossy(&output.stdout).into_owned()
-}
-
-fn text(path: &Path) -> &str {
-    path.to_str().expect("a plain temporary folder")
 }
 
 /// Names of all commands, from the program's own help.

@@ -1,22 +1,15 @@
 //! `platelight merge` and `platelight preview` as a user runs them.
 
+mod program;
+
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::Output;
 
-use assert_cmd::Command;
 use platelight::bracket;
 use platelight::photo::{
     self, Encoding, EncodingSource, Primaries, ReadOptions, Samples, Transfer, colour, png,
 };
-
-fn platelight(arguments: &[&str]) -> Output {
-    Command::cargo_bin("platelight")
-        .expect("the program is built")
-        .args(arguments)
-        .output()
-        .unwrap()
-}
+use program::{platelight, text};
 
 /// A ramp of light photographed at three times; PNG, exact sRGB, without noise.
 fn bracket_in(folder: &Path) -> Vec<PathBuf> {
@@ -39,10 +32,6 @@ fn bracket_in(folder: &Path) -> Vec<PathBuf> {
             path
         })
         .collect()
-}
-
-fn text(path: &Path) -> &str {
-    path.to_str().expect("temporary paths are text")
 }
 
 #[test]

@@ -1,25 +1,13 @@
 //! Nothing that is read is ever written over, and nothing odd is taken for a whole picture.
 
+mod program;
 mod tiny;
 
 use std::fs;
 use std::path::Path;
-use std::process::Output;
 
-use assert_cmd::Command;
+use program::{platelight, text};
 use tiny::{Plate, write_cube, write_shot};
-
-fn platelight(arguments: &[&str]) -> Output {
-    Command::cargo_bin("platelight")
-        .expect("the program is built")
-        .args(arguments)
-        .output()
-        .expect("the program starts")
-}
-
-fn text(path: &Path) -> &str {
-    path.to_str().expect("temporary paths are text")
-}
 
 /// Runs, and holds that it is refused with `sentence` and that `file` stays as it was.
 fn assert_refused(arguments: &[&str], file: &Path, sentence: &str) {

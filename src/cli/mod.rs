@@ -37,8 +37,8 @@ use crate::render::Context;
     propagate_version = true,
     arg_required_else_help = true,
     after_help = "Example:\n  platelight check shots/robot\n  platelight run shots/robot --out renders/robot\n\n\
-                  Exit codes: 0 done, 1 part of a batch failed, 2 the request was wrong (nothing written), \
-                  130 interrupted."
+                  Exit codes: 0 done, 1 part of a batch failed, 2 the request was wrong (nothing written) \
+                  or a result could not be written, 130 interrupted."
 )]
 struct Cli {
     #[command(flatten)]

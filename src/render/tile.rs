@@ -7,7 +7,7 @@ use crate::conventions::Rgb;
 use crate::photo::Image;
 
 /// A pixel belongs to the influence region if the objects change it by more than this.
-pub const INFLUENCE: f64 = 0.01;
+const INFLUENCE: f64 = 0.01;
 /// Share of the influenced pixels that the pooled error leaves out: a caustic found by chance has no
 /// variance that more samples of its own kind would bring down, and must not take all the work.
 /// They are counted, and the standard error delivered for them stays what it is.
