@@ -115,7 +115,7 @@ impl<'w> Influence<'w> {
         let mut worst: f32 = 0.0;
         for quarter in part.quarters() {
             worst = worst.max(self.bound_of(view, quarter, enough));
-            if worst > enough && worst.is_infinite() {
+            if worst.is_infinite() {
                 break;
             }
         }
