@@ -1,6 +1,8 @@
 //! [`Model`]: a mesh file in memory, before it is placed.
 
 use std::collections::HashMap;
+use std::collections::hash_map::{DefaultHasher, Entry};
+use std::hash::{Hash, Hasher};
 use std::path::PathBuf;
 
 use glam::{DAffine3, DVec3, Vec2, Vec3, Vec4};
@@ -181,6 +183,7 @@ impl ModelMesh {
         mend_values(&mut self.second_uvs, Vec2::is_finite, Vec2::ZERO);
         mend_values(&mut self.tangents, Vec4::is_finite, Vec4::ZERO);
         mend_values(&mut self.colours, Vec4::is_finite, Vec4::ONE);
+        self.drop_repeated_triangles(place, warnings);
     }
 
     /// Triangles with a corner that is not finite, and those without area, hide nothing.
@@ -208,6 +211,66 @@ impl ModelMesh {
                 "{place}: {n_flat} of {before} triangles have no area; they are left out"
             ));
         }
+    }
+
+    /// The same triangle again, with the same corners in the same turn and all that hangs on them,
+    /// shows nothing new, and thousands in one place cannot be parted by any tree: every ray there
+    /// would be tested against all of them. The first stays. One that is wound the other way is
+    /// another triangle.
+    fn drop_repeated_triangles(&mut self, place: &str, warnings: &mut Vec<String>) {
+        let before = self.triangles.len();
+        let marks: Vec<u64> = (0..self.positions.len()).map(|v| self.vertex_hash(v)).collect();
+        let mut firsts: HashMap<[u64; 3], [u32; 3]> = HashMap::with_capacity(before);
+        let mut triangles = std::mem::take(&mut self.triangles);
+        triangles.retain(|&triangle| {
+            let mut turned = triangle;
+            let least = (0..3).min_by_key(|&k| marks[triangle[k] as usize]).unwrap_or(0);
+            turned.rotate_left(least);
+            match firsts.entry(turned.map(|i| marks[i as usize])) {
+                Entry::Vacant(place) => {
+                    place.insert(turned);
+                    true
+                }
+                // Equal marks may be chance.
+                Entry::Occupied(first) => {
+                    let corners = first.get().iter().zip(turned);
+                    !corners.into_iter().all(|(&a, b)| self.same_vertex(a as usize, b as usize))
+                }
+            }
+        });
+        let n_repeated = before - triangles.len();
+        self.triangles = triangles;
+        if n_repeated > 0 {
+            warnings.push(format!(
+                "{place}: {n_repeated} of {before} triangles are exact copies of others; they are \
+                 left out"
+            ));
+        }
+    }
+
+    /// A number that equal vertices share, and different ones hardly ever.
+    fn vertex_hash(&self, vertex: usize) -> u64 {
+        let mut hasher = DefaultHasher::new();
+        let mut add = |values: &[f32]| values.iter().for_each(|v| v.to_bits().hash(&mut hasher));
+        let [x, y, z] = self.positions[vertex].to_array();
+        // The low bits of survey coordinates are not in an f32: equal vertices are told apart later.
+        add(&[x as f32, y as f32, z as f32]);
+        self.normals.get(vertex).inspect(|v| add(&v.to_array()));
+        self.uvs.get(vertex).inspect(|v| add(&v.to_array()));
+        hasher.finish()
+    }
+
+    fn same_vertex(&self, a: usize, b: usize) -> bool {
+        fn same<T: PartialEq>(values: &[T], a: usize, b: usize) -> bool {
+            values.get(a) == values.get(b)
+        }
+        a == b
+            || same(&self.positions, a, b)
+                && same(&self.normals, a, b)
+                && same(&self.uvs, a, b)
+                && same(&self.second_uvs, a, b)
+                && same(&self.tangents, a, b)
+                && same(&self.colours, a, b)
     }
 
     fn mend_normals(&mut self, place: &str, warnings: &mut Vec<String>) {
@@ -280,6 +343,35 @@ mod tests {
         open.meshes[0].triangles.pop();
         open.mend_solids();
         assert!(open.warnings[0].contains("3 open edges"), "{:?}", open.warnings);
+    }
+
+    #[test]
+    fn exact_copies_of_triangles_are_dropped_and_told_and_others_stay() {
+        let corners = [DVec3::ZERO, DVec3::X, DVec3::Y];
+        let mut mesh = ModelMesh {
+            // The corners once more, and once with another normal at one of them.
+            positions: [corners, corners, corners].concat(),
+            normals: vec![Vec3::Z; 9],
+            triangles: [vec![[0, 1, 2]; 5000], vec![[3, 4, 5], [1, 2, 3]]].concat(),
+            ..ModelMesh::default()
+        };
+        mesh.normals[8] = Vec3::X;
+        mesh.triangles.extend([[0, 2, 1], [6, 7, 8]]);
+        let mut warnings = Vec::new();
+        mesh.mend("card", &mut warnings);
+        assert_eq!(mesh.triangles, [[0, 1, 2], [0, 2, 1], [6, 7, 8]]);
+        assert!(
+            warnings[0].contains("card: 5001 of 5004 triangles are exact copies"),
+            "{warnings:?}"
+        );
+        // A hair apart in f64, the same in f32.
+        let mut near = ModelMesh {
+            positions: [corners, corners.map(|p| p + DVec3::splat(1e-15))].concat(),
+            triangles: vec![[0, 1, 2], [3, 4, 5]],
+            ..ModelMesh::default()
+        };
+        near.mend("card", &mut Vec::new());
+        assert_eq!(near.triangles.len(), 2);
     }
 
     #[test]
