@@ -22,6 +22,10 @@ use crate::photo::colour::srgb_decode;
 /// a warning; a face that names what is not there is an error.
 pub fn read(path: &Path) -> Result<Model, SceneError> {
     let bytes = read_file(path)?;
+    if let Some(problem) = no_text(&bytes) {
+        let place = "its first bytes".to_owned();
+        return Err(SceneError::Broken { path: path.into(), place, problem: problem.to_owned() });
+    }
     let mut reader = Reader::new(path);
     for (number, line) in logical_lines(&String::from_utf8_lossy(&bytes)) {
         line.and_then(|line| reader.line(&line)).map_err(|problem| SceneError::Broken {
@@ -32,6 +36,18 @@ pub fn read(path: &Path) -> Result<Model, SceneError> {
         reader.check_size(number)?;
     }
     Ok(reader.finish())
+}
+
+/// What a file that is no text is instead. Exporters write OBJ as text alone.
+fn no_text(bytes: &[u8]) -> Option<&'static str> {
+    match bytes {
+        [b'g', b'l', b'T', b'F', ..] => Some("it is a binary glTF file; name it .glb"),
+        [0xff, 0xfe, ..] | [0xfe, 0xff, ..] => Some("it is UTF-16 text; save it as UTF-8"),
+        _ if bytes.iter().take(4096).any(|&byte| byte == 0) => {
+            Some("it is binary, and an OBJ file is text; name it as what it is (.glb, .gltf)")
+        }
+        _ => None,
+    }
 }
 
 /// Longest line read, MiB: a face of half a million corners.
@@ -366,6 +382,21 @@ mod tests {
         let of = |i: usize| (mesh.positions[i], mesh.uvs[i]);
         assert_eq!(of(4), (DVec3::new(1.0, 1.0, 0.0), Vec2::new(1.0, 0.0)));
         assert_eq!(of(5), (DVec3::new(0.0, 1.0, 0.0), Vec2::new(1.0, 1.0)));
+    }
+
+    #[test]
+    fn files_that_are_no_text_are_told_as_what_they_are() {
+        for (bytes, told) in [
+            (&b"glTF\x02\0\0\0"[..], ".glb"),
+            (b"\x89PNG\r\n\x1a\n\0\0\0", "binary"),
+            (b"\xff\xfev\0 \0", "UTF-8"),
+        ] {
+            let folder = tempfile::tempdir().unwrap();
+            let path = folder.path().join("thing.obj");
+            std::fs::write(&path, bytes).unwrap();
+            let said = read(&path).unwrap_err().to_string();
+            assert!(said.contains("thing.obj") && said.contains(told), "{said}");
+        }
     }
 
     #[test]
