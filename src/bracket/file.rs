@@ -62,7 +62,8 @@ pub fn read(path: &Path) -> Result<Radiance, PhotoError> {
 /// them.
 ///
 /// Of any other picture the noise is not known and counts as none; clipped pixels are lower bounds.
-/// Negative light, which compression and colour conversion make, becomes none.
+/// Negative light, which compression and colour conversion make, becomes none. What the file does not
+/// hold (outside its data window) is black and [`Validity::Filled`]: not seen.
 ///
 /// # Errors
 /// Pixels that are not finite: 0 in their place would be taken for measured darkness. Layers that
@@ -76,13 +77,20 @@ pub fn from_picture(photo: &Photo) -> Result<Radiance, BracketError> {
         Format::Exr => layers(&photo.path, size)?,
         _ => None,
     };
-    let (variance, validity) = stored.unwrap_or_else(|| {
+    let (variance, mut validity) = stored.unwrap_or_else(|| {
         let class = |&clipped: &bool| match clipped {
             true => Validity::LowerBound,
             false => Validity::Measured,
         };
         (photo.linear.map(|_| Rgb::ZERO), photo.clipped.map(class))
     });
+    if let Some(held) = photo.held {
+        for (k, class) in validity.pixels_mut().iter_mut().enumerate() {
+            if !held.contains((k % size.0, k / size.0)) {
+                *class = Validity::Filled;
+            }
+        }
+    }
     Ok(Radiance { mean: photo.linear.map(|l| l.max(Rgb::ZERO)), variance, validity })
 }
 
@@ -180,6 +188,10 @@ mod tests {
         assert_eq!(radiance.mean[(0, 0)], Rgb::new(1.0, 0.0, 2.0));
         assert_eq!(radiance.validity[(2, 1)], Validity::LowerBound);
         assert_eq!(radiance.validity[(2, 2)], Validity::Measured);
+        photo.held = Some(crate::photo::Part { first: (1, 0), size: (3, 2) });
+        let part = from_picture(&photo).unwrap().validity;
+        let unseen = part.pixels().iter().filter(|&&v| v == Validity::Filled).count();
+        assert_eq!((unseen, part[(0, 0)], part[(3, 1)]), (6, Validity::Filled, Validity::Measured));
         photo.nonfinite = Some(NonFinite { pixels: 3, first: (1, 2) });
         let error = from_picture(&photo).unwrap_err().to_string();
         assert!(error.contains("3 pixels") && error.contains("(1, 2)"), "{error}");

@@ -22,7 +22,8 @@ use rayon::prelude::*;
 
 use super::error::{MAX_SIDE, check_size, guarded};
 use super::{
-    Decoded, Encoding, EncodingSource, Facts, PhotoError, Primaries, ReadOptions, Samples, Transfer,
+    Decoded, Encoding, EncodingSource, Facts, Part, PhotoError, Primaries, ReadOptions, Samples,
+    Transfer,
 };
 
 const FORMAT: &str = "EXR";
@@ -56,6 +57,9 @@ pub(super) fn decode(
             None => encoding(path, header)?,
         };
         let facts = facts(header);
+        let (held, window) = data_window(header);
+        let remarks =
+            [window, other_parts(headers, &picture, options)].into_iter().flatten().collect();
 
         let display = header.shared_attributes.display_window;
         let (width, height) = (display.size.width(), display.size.height());
@@ -77,7 +81,7 @@ pub(super) fn decode(
             })?;
             Samples::F32 { channels, data }
         };
-        Ok(Decoded { width, height, samples, facts, encoding })
+        Ok(Decoded { width, height, samples, facts, encoding, held, remarks })
     })
 }
 
@@ -127,6 +131,49 @@ fn choose(path: &Path, headers: &[Header], layer: Option<&str>) -> Result<Pictur
             layer.map_or("no R G B or Y main picture".into(), |l| format!("no layer {l:?}"));
         PhotoError::NoLayer { path: path.into(), wanted, channels: names.join(", ") }
     })
+}
+
+/// The part of the display window that the data window covers, if that is not all, and a word on it.
+fn data_window(header: &Header) -> (Option<Part>, Option<String>) {
+    let display = header.shared_attributes.display_window;
+    let place = header.own_attributes.layer_position;
+    // First and end of the data within the display window, along one side.
+    let along = |place: i32, data: usize, display_place: i32, display: usize| {
+        let first = i64::from(place) - i64::from(display_place);
+        let clamp = |v: i64| v.clamp(0, display as i64) as usize;
+        (clamp(first), clamp(first + data as i64))
+    };
+    let (data, size) = (header.layer_size, display.size);
+    let (left, right) = along(place.0, data.0, display.position.0, size.0);
+    let (top, bottom) = along(place.1, data.1, display.position.1, size.1);
+    let part = Part { first: (left, top), size: (right - left, bottom - top) };
+    if part.size == (size.0, size.1) {
+        return (None, None);
+    }
+    let outside = size.area() - part.size.0 * part.size.1;
+    let share = 100.0 * outside as f64 / size.area() as f64;
+    let said = format!(
+        "its data window holds {} × {} of {} × {} px; {share:.1} % of the picture are not in the file \
+         and count as black and not seen",
+        part.size.0, part.size.1, size.0, size.1
+    );
+    (Some(part), Some(said))
+}
+
+/// A word on parts that hold a main picture too, where nobody said which one is meant.
+fn other_parts(headers: &[Header], picture: &Picture, options: &ReadOptions) -> Option<String> {
+    let is_picture = |(part, h): &(usize, &Header)| !h.deep && picture_in(h, *part, "").is_some();
+    let others = headers.iter().enumerate().filter(is_picture).count();
+    if options.layer.is_some() || others < 2 {
+        return None;
+    }
+    let name = headers[picture.part].own_attributes.layer_name.as_ref();
+    let name = name.map_or(String::new(), |name| format!(" ({:?})", name.to_string()));
+    Some(format!(
+        "holds {others} pictures in {} parts; part {}{name} is taken, the others are left out",
+        headers.len(),
+        picture.part + 1
+    ))
 }
 
 /// The text before the last dot of every channel name, each once.

@@ -18,6 +18,7 @@ pub mod radiance_hdr;
 mod raster;
 #[cfg(test)]
 mod tests;
+pub mod text;
 pub mod tiff;
 pub mod tone;
 mod tone_curve;
@@ -49,6 +50,11 @@ pub struct Photo {
     pub clipped: Image<bool>,
     /// Samples that were NaN or infinite; `linear` has 0 there.
     pub nonfinite: Option<NonFinite>,
+    /// The part of the picture that the file holds, where it does not hold all of it (an EXR data
+    /// window smaller than the display window); `linear` is 0 outside.
+    pub held: Option<Part>,
+    /// What a person should know of how the file was read, each a sentence without its name.
+    pub remarks: Vec<String>,
     /// What the camera wrote beside the picture.
     pub facts: Facts,
     /// How the file's samples stand for light.
@@ -76,6 +82,22 @@ pub struct NonFinite {
     pub pixels: u64,
     /// Column and row of the first, row by row.
     pub first: (usize, usize),
+}
+
+/// A rectangle of a picture.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Part {
+    /// Column and row of its first pixel.
+    pub first: (usize, usize),
+    /// Columns and rows; may be 0.
+    pub size: (usize, usize),
+}
+
+impl Part {
+    pub fn contains(&self, (x, y): (usize, usize)) -> bool {
+        let inside = |at: usize, first: usize, n: usize| (first..first + n).contains(&at);
+        inside(x, self.first.0, self.size.0) && inside(y, self.first.1, self.size.1)
+    }
 }
 
 /// Facts the camera wrote into the file (EXIF or EXR attributes); `None` where it did not.
@@ -194,6 +216,8 @@ impl Photo {
             alpha: None,
             clipped: linear.map(|_| false),
             nonfinite: None,
+            held: None,
+            remarks: Vec::new(),
             facts: Facts::default(),
             encoding: Encoding {
                 transfer: Transfer::Linear,
@@ -229,6 +253,8 @@ impl Photo {
             samples: self.samples.clone(),
             facts: self.facts.clone(),
             encoding: Encoding { transfer, primaries: self.encoding.primaries, source },
+            held: self.held,
+            remarks: self.remarks.clone(),
         };
         linear::photo(&self.path, self.format, decoded)
     }
@@ -263,6 +289,8 @@ struct Decoded {
     samples: Samples,
     facts: Facts,
     encoding: Encoding,
+    held: Option<Part>,
+    remarks: Vec<String>,
 }
 
 /// Reads a picture: EXR, Radiance HDR, PNG, TIFF or JPEG, told by its first bytes.

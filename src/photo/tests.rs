@@ -146,6 +146,35 @@ fn the_data_window_is_placed_in_the_display_window() {
     assert_eq!([red(0, 0), red(4, 0), red(3, 1), red(4, 2)], [0.0; 4]);
     assert_eq!([red(0, 1), red(1, 1), red(2, 1)], [101.0, 102.0, 103.0]);
     assert_eq!([red(0, 2), red(2, 2)], [105.0, 107.0]);
+    // What is not in the file is not seen, and told.
+    assert_eq!(photo.held, Some(Part { first: (0, 1), size: (3, 2) }));
+    assert!(photo.remarks[0].contains("60.0 %"), "{:?}", photo.remarks);
+    for (place, display) in [((0, 0), (4, 3)), ((-1, -1), (3, 2))] {
+        let whole = open("a.exr", &foreign_exr(Compression::ZIP16, place, display)).unwrap();
+        assert!(whole.held.is_none() && whole.remarks.is_empty(), "{place:?} {:?}", whole.remarks);
+    }
+    let beside = open("a.exr", &foreign_exr(Compression::ZIP16, (9, 9), (4, 3))).unwrap();
+    assert_eq!(beside.held.map(|held| held.size), Some((0, 0)));
+}
+
+#[test]
+fn of_several_pictures_in_a_file_the_one_taken_is_told() {
+    let part = |name: &str, k: f32| {
+        let channel = |name: &str| AnyChannel::new(name, FlatSamples::F32(vec![k; 12]));
+        let channels = [channel("R"), channel("G"), channel("B")].into_iter().collect();
+        let attributes = LayerAttributes::named(name);
+        Layer::new((4, 3), attributes, ExrEncoding::FAST_LOSSLESS, AnyChannels::sort(channels))
+    };
+    let display = exr::meta::attribute::IntegerBounds::from_dimensions((4, 3));
+    let parts: exr::image::Layers<_> =
+        [part("left", 1.0), part("right", 2.0)].into_iter().collect();
+    let image = ExrImage::from_layers(exr::meta::header::ImageAttributes::new(display), parts);
+    let mut bytes = std::io::Cursor::new(Vec::new());
+    image.write().to_buffered(&mut bytes).unwrap();
+    let photo = open("a.exr", bytes.get_ref()).unwrap();
+    assert_eq!(photo.linear[(0, 0)].x, 1.0);
+    let said = &photo.remarks[0];
+    assert!(said.contains("2 pictures") && said.contains("part 1 (\"left\")"), "{said}");
 }
 
 #[test]

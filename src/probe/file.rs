@@ -95,6 +95,8 @@ pub struct ReadPanorama {
     pub panorama: Panorama,
     /// Texels with negative light, which is taken as none.
     pub negative: Option<Negative>,
+    /// What a person should know of how the file was read, each a sentence without its name.
+    pub remarks: Vec<String>,
 }
 
 /// Negative light in a picture; compression and colour conversion make a little of it.
@@ -142,8 +144,12 @@ pub fn read(
         if w != 2 * h {
             return Err(ProbeError::NotLatLong { path: path.into(), width: w, height: h });
         }
-        let panorama = lat_long(path, photo.format, source)?.rotated(rotation);
-        return Ok(ReadPanorama { panorama, negative });
+        let mut panorama = lat_long(path, photo.format, source)?;
+        if photo.held.is_some() {
+            uncover_unseen(&mut panorama);
+        }
+        let panorama = panorama.rotated(rotation);
+        return Ok(ReadPanorama { panorama, negative, remarks: photo.remarks });
     }
     let width = width.unwrap_or_else(|| natural_width(layout, w));
     check_width(width)?;
@@ -153,7 +159,7 @@ pub fn read(
         height: h,
         wanted,
     };
-    let panorama = match layout {
+    let mut panorama = match layout {
         Layout::Cube if w % 4 == 0 && w / 4 * 3 == h => {
             to_lat_long(&source, &CubeCross { face: w / 4 }, DMat3::IDENTITY, width)
         }
@@ -164,7 +170,21 @@ pub fn read(
         // Returned above.
         Layout::LatLong => return Err(shape("twice as wide as high")),
     };
-    Ok(ReadPanorama { panorama: panorama.rotated(rotation), negative })
+    if photo.held.is_some() {
+        uncover_unseen(&mut panorama);
+    }
+    let panorama = panorama.rotated(rotation);
+    Ok(ReadPanorama { panorama, negative, remarks: photo.remarks })
+}
+
+/// What no pixel of the file shows is not covered.
+fn uncover_unseen(panorama: &mut Panorama) {
+    let Panorama { validity, coverage, .. } = panorama;
+    for (class, coverage) in validity.pixels().iter().zip(coverage.pixels_mut()) {
+        if *class == Validity::Filled {
+            *coverage = 0.0;
+        }
+    }
 }
 
 /// Width at which the layout's middle keeps its resolution.

@@ -189,9 +189,14 @@ fn take_panorama(keys: &PanoramaKeys) -> Result<Unwrapped, String> {
         let size = format!("{} texels, down to {}", negative.texels, negative.least);
         Warning::new("probe.panorama", negative.to_string(), size)
     });
+    let remarks = read.remarks.into_iter().map(|remark| {
+        let size = "light from there is missing";
+        Warning::new("probe.panorama", format!("{}: {remark}", keys.file.display()), size)
+    });
+    let warnings = negative.into_iter().chain(remarks).collect();
     let source = format!("panorama {}", keys.file.display());
     let report = ProbeReport { source, ..ProbeReport::default() };
-    Ok(Unwrapped { panorama, ball: None, report, warnings: negative.into_iter().collect() })
+    Ok(Unwrapped { panorama, ball: None, report, warnings })
 }
 
 /// Everything of the scene that the judgement of clipped lights needs.

@@ -14,6 +14,7 @@ use super::file::{PlateColour, ShotFile, SupportShape};
 use super::pictures::{expand, readable};
 use super::place;
 use super::probe_keys::{ProbeSource, Surroundings};
+use crate::conventions::Rgb;
 use crate::photo::{self, NamedColour, Photo, ReadOptions, Samples, Transfer};
 use crate::report::Warning;
 use crate::scene::{self, Model};
@@ -106,6 +107,18 @@ impl Finder {
             Ok(model)
         });
         let model = self.keep(key, model)?;
+        if model.n_triangles() == 0 {
+            let mut why = model.warnings.join("; ");
+            if !why.is_empty() {
+                why = format!(" ({why})");
+            }
+            let cause = format!(
+                "holds no triangles, so there is nothing to see{why}; export the mesh itself, or take \
+                 {key} out"
+            );
+            self.problem(key, &path, &cause);
+            return None;
+        }
         // The first of its files is the one named, and is an input already.
         self.inputs.extend(model.files.iter().skip(1).cloned());
         Some(model)
@@ -171,6 +184,12 @@ impl Plan {
         let plate = find.photo("plate.file", &shot.plate.file, named_colour(&shot));
         find.camera("camera", &shot.camera.source);
         find.pose("pose", &shot.pose, &shot.camera);
+        if let Some(bad) = plate.as_ref().and_then(|plate| plate.nonfinite)
+            && plate.as_ref().is_some_and(|p| p.linear.pixels().len() as u64 == bad.pixels)
+        {
+            let cause = "every pixel is NaN or infinite: there is no picture in it; write it again";
+            find.problem("plate.file", &shot.plate.file, cause);
+        }
         let relative = shot.plate.relative_exposure;
         let scale = plate.as_ref().map(|plate| {
             exposures::plate_scale(plate, &shot.plate.exposure, relative)
@@ -284,6 +303,19 @@ impl Plan {
                 "part of the plate is clipped; where objects change it, the result is a lower bound",
                 format!("{:.1} % of the pixels", 100.0 * clipped),
             ));
+        }
+        if self.plate.linear.pixels().iter().all(|&l| l == Rgb::ZERO) {
+            warnings.push(Warning::new(
+                "plate",
+                "is black everywhere: surfaces have no colour to be shadowed or lit; check plate.file",
+                "every pixel",
+            ));
+        }
+        for photo in self.probe_photos.iter().chain([&self.plate]) {
+            warnings.extend(photo.remarks.iter().map(|remark| {
+                let name = photo.path.display().to_string();
+                Warning::new(name, remark.clone(), "what is not read counts as black")
+            }));
         }
         if let Some(bad) = self.plate.nonfinite {
             warnings.push(Warning::new(
