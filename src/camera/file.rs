@@ -5,17 +5,19 @@
 //! COLMAP's `cameras.txt` (whose pixel corner is the origin: half a pixel is taken off). Files are not
 //! believed: sizes, numbers and rotations are checked before anyone uses them.
 
-use std::io::{Read, Write};
+use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use glam::{DAffine3, DMat3, DVec3};
 use serde::{Deserialize, Serialize};
 
 use super::{Camera, Distortion, Lens, Pose, interchange};
-use crate::photo::atomic;
+use crate::photo::{atomic, text};
 
 /// Largest side of a picture that a camera file may state, px.
 const LONGEST_SIDE: usize = 1 << 20;
+/// Farthest place of a camera from the world's origin, m: as far as meshes may lie.
+const FARTHEST_M: f64 = 1e12;
 /// Largest camera file that is read, bytes.
 const LARGEST_FILE: u64 = 4 << 20;
 
@@ -124,17 +126,9 @@ fn name(distortion: &Distortion) -> &'static str {
 
 /// Reads camera.json, OpenCV's YAML or COLMAP's cameras.txt, told by content.
 pub fn read(path: &Path) -> Result<ReadCamera, CameraFileError> {
-    let io = |cause| CameraFileError::Io { path: path.to_owned(), cause };
-    let file = std::fs::File::open(path).map_err(io)?;
-    let mut bytes = vec![];
-    file.take(LARGEST_FILE + 1).read_to_end(&mut bytes).map_err(io)?;
+    let named = |cause| CameraFileError::Io { path: path.to_owned(), cause };
+    let text = text::read(path, LARGEST_FILE).map_err(named)?;
     let content = |what: String| CameraFileError::Content { path: path.to_owned(), what };
-    if bytes.len() as u64 > LARGEST_FILE {
-        return Err(content("larger than 4 MB: this is no camera file".into()));
-    }
-    let text = String::from_utf8(bytes).map_err(|_| {
-        content("not text; expected camera.json, OpenCV YAML or COLMAP text".into())
-    })?;
     parse(&text).map_err(content)
 }
 
@@ -152,8 +146,31 @@ pub fn parse(text: &str) -> Result<ReadCamera, String> {
     Ok(read)
 }
 
+/// A sentence about JSON that is not a camera: line, key, what was found, and what to do.
+fn json_problem(text: &str, error: &serde_json::Error) -> String {
+    let said = error.to_string();
+    let what = said.rsplit_once(" at line ").map_or(said.as_str(), |(what, _)| what);
+    let what = what.replace("f64", "a number").replace("usize", "a whole number");
+    let remedy = match error.classify() {
+        serde_json::error::Category::Data => {
+            "correct it, or let platelight calibrate or locate write the file anew"
+        }
+        _ => "the file is cut off or no JSON; let platelight calibrate or locate write it anew",
+    };
+    // What is missing is missing everywhere.
+    if error.line() == 0 || what.starts_with("missing") {
+        return format!("{what}; {remedy}");
+    }
+    // The key whose value was read last, if this line has one.
+    let line = text.lines().nth(error.line() - 1).unwrap_or("");
+    let before: String = line.chars().take(error.column()).collect();
+    let key = before.rsplit_once("\":").and_then(|(head, _)| head.rsplit_once('"'));
+    let key = key.map_or(String::new(), |(_, key)| format!("{key}: "));
+    format!("line {}: {key}{what}; {remedy}", error.line())
+}
+
 fn from_json(text: &str) -> Result<ReadCamera, String> {
-    let json: CameraJson = serde_json::from_str(text).map_err(|e| e.to_string())?;
+    let json: CameraJson = serde_json::from_str(text).map_err(|e| json_problem(text, &e))?;
     if json.platelight_camera != 1 {
         return Err(format!(
             "version {} of camera.json; this reads version 1",
@@ -217,6 +234,7 @@ fn check(camera: &Camera) -> Result<(), String> {
     if !(lens.fx > 0.0 && lens.fy > 0.0) {
         return Err(format!("focal lengths {} and {} px; both must be positive", lens.fx, lens.fy));
     }
+    lens.check_plausible(*width, *height)?;
     let n = lens.n_parameters();
     if let Some(c) = &lens.covariance {
         if c.len() != n * n {
@@ -237,6 +255,13 @@ fn check(camera: &Camera) -> Result<(), String> {
         return Err(
             "world_from_camera is no rotation and position (a scale or a mirror crept in?)".into(),
         );
+    }
+    let distance_m = pose.position().length();
+    if !(distance_m <= FARTHEST_M) {
+        return Err(format!(
+            "the camera lies {distance_m:e} m from the world's origin, more than {FARTHEST_M:e} m; \
+             check the units"
+        ));
     }
     let variances = |c: &[[f64; 6]; 6]| {
         c.iter().flatten().all(|v| v.is_finite()) && (0..6).all(|i| c[i][i] >= 0.0)
@@ -301,6 +326,13 @@ mod tests {
         assert!(spoil("\"lens_covariance\": [", "\"lens_covariance\": [1,").contains("81"));
         assert!(spoil("\"platelight_camera\": 1", "\"platelight_camera\": 7").contains("version"));
         assert!(spoil("\"fx\"", "\"focal\"").contains("focal"));
+        let said = spoil("\"fx\": 940.3", "\"fx\": \"wide\"");
+        let told = ["line 5: fx: invalid type", "expected a number", "calibrate"];
+        assert!(told.iter().all(|told| said.contains(told)), "{said}");
+        let said = spoil("\"fx\": 940.3,", "");
+        assert!(said.starts_with("missing field `fx`; "), "{said}");
+        assert!(spoil("\"fx\": 940.3", "\"fx\": 1e9").contains("span"));
+        assert!(parse("{").unwrap_err().contains("cut off"), "{}", parse("{").unwrap_err());
         let rows = "\"world_from_camera\": [\n    [";
         assert!(spoil(rows, &format!("{rows}1e3, 0, 0, 0], [")).contains("trailing"));
         let start = good.find(rows).expect("the pose was written");
@@ -309,10 +341,12 @@ mod tests {
             "[2, 0, 0, 0], [0, 2, 0, 0], [0, 0, 2, 0]",
             "[-1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]",
             "[1, 0.1, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]",
+            "[1, 0, 0, 1e13], [0, 1, 0, 0], [0, 0, 1, 0]",
         ] {
             let pose = format!("\"world_from_camera\": [{matrix}]");
             let error = parse(&[&good[..start], &pose, &good[end..]].concat()).unwrap_err();
-            assert!(error.contains("no rotation"), "{matrix}: {error}");
+            let told = if matrix.contains("1e13") { "check the units" } else { "no rotation" };
+            assert!(error.contains(told), "{matrix}: {error}");
         }
         for cut in (0..good.len()).step_by(37).filter(|&c| good.is_char_boundary(c)) {
             assert!(parse(&good[..cut]).is_err());

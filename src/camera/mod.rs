@@ -8,6 +8,7 @@ pub mod interchange;
 pub mod lens;
 pub mod planar_pose;
 mod planar_start;
+mod plausible;
 pub mod pose;
 pub mod print;
 pub mod slip;

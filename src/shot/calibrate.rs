@@ -8,7 +8,7 @@ use super::camera_keys::{Board, CameraSource};
 use super::detect::{self, DetectError, Rung};
 use super::pictures;
 use crate::camera::lens::focal_px;
-use crate::camera::{Distortion, Lens, file};
+use crate::camera::{Camera, Distortion, Lens, file};
 use crate::photo::{self, Facts, Photo, PhotoError, ReadOptions};
 use crate::report::{CameraReport, ViewReport, Warning};
 
@@ -31,6 +31,8 @@ pub enum LensError {
     Photos { pattern: PathBuf, cause: String },
     #[error(transparent)]
     Photo(#[from] PhotoError),
+    #[error("{key}: {cause}")]
+    Absurd { key: &'static str, cause: String },
     #[error("{photo}: {cause}", photo = photo.display())]
     Detect { photo: PathBuf, cause: DetectError },
     #[error("none of {n} photographs shows the board; {}: {cause}", first.display())]
@@ -63,25 +65,34 @@ pub fn find_lens(source: &CameraSource, plate: &Photo) -> Result<FoundLens, Lens
         }
         CameraSource::File(path) => {
             let read = file::read(path)?;
-            plain(
-                read.camera.lens,
-                read.camera.width,
-                read.camera.height,
-                &path.display().to_string(),
-            )
+            let Camera { lens, width, height, .. } = read.camera;
+            let covers = lens.covers(width, height);
+            let mut found = plain(lens, width, height, &path.display().to_string());
+            found.warnings.extend((!covers).then(|| outside_the_lens(path)));
+            found
         }
         CameraSource::Focal { focal_mm, sensor_mm } => {
             let sensor = sensor_mm.unwrap_or(36.0);
-            nominal(*focal_mm, sensor, width, height, "focal_mm")
-                .ok_or_else(|| LensError::NoFocal { plate: plate.path.clone() })?
+            let found = nominal(*focal_mm, sensor, width, height, "focal_mm")
+                .ok_or_else(|| LensError::NoFocal { plate: plate.path.clone() })?;
+            plausible(found, "focal_mm")?
         }
         CameraSource::Exif { sensor_mm } => plate
             .facts
             .focal_mm
             .and_then(|focal| nominal(focal, *sensor_mm, width, height, "EXIF"))
-            .ok_or_else(|| LensError::NoFocal { plate: plate.path.clone() })?,
+            .ok_or_else(|| LensError::NoFocal { plate: plate.path.clone() })
+            .and_then(|found| plausible(found, "exif_sensor_mm"))?,
     };
     fit_to(found, width, height)
+}
+
+/// The lens, if one like it can be built. A file's is checked where the file is read.
+fn plausible(found: FoundLens, key: &'static str) -> Result<FoundLens, LensError> {
+    match found.lens.check_plausible(found.width, found.height) {
+        Ok(()) => Ok(found),
+        Err(cause) => Err(LensError::Absurd { key, cause }),
+    }
 }
 
 /// Calibrates from photographs of a board; also the facts of the first one used.
@@ -186,6 +197,16 @@ fn clipped_boards(seen: &[Seen]) -> Option<Warning> {
         ),
         "corners may be off by 0.1 px",
     ))
+}
+
+/// Parts of the frame that a file's lens has no directions for.
+fn outside_the_lens(path: &Path) -> Warning {
+    let sentence = format!(
+        "{}: the lens has no direction for some pixels at the border of the picture: its distortion \
+         folds there, or a fisheye's circle ends",
+        path.display()
+    );
+    Warning::new("camera.file", sentence, "objects and shadows are not seen there")
 }
 
 /// Boards and plate taken at different focal lengths.
