@@ -6,7 +6,7 @@ use super::run::Stop;
 use super::terminal::Terminal;
 use super::{CliError, Global, Outcome};
 use crate::shot::batch::{Status, find_shots, run_batch, table, write_summary};
-use crate::shot::run::RunOptions;
+use crate::shot::run::{RunOptions, check_folder};
 
 /// Run every shot in some folders; a bad one stops nothing
 #[derive(Debug, clap::Args)]
@@ -35,6 +35,10 @@ pub struct Args {
 
 pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
     let shots = find_shots(&args.folders, args.out.as_deref())?;
+    let summary_folder = args.out.as_ref().or(args.folders.first());
+    if let Some(folder) = summary_folder {
+        check_folder(folder)?;
+    }
     let options = RunOptions { skip_existing: args.skip_existing, stop: args.stop.keys()? };
     let terminal = Terminal::new(global);
     let tell = |result: &crate::shot::batch::ShotResult| {
@@ -53,7 +57,6 @@ pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
         let problems = results.into_iter().flat_map(|r| r.problems).collect();
         return Err(CliError::several(problems));
     }
-    let summary_folder = args.out.as_ref().or(args.folders.first());
     if let Some(folder) = summary_folder.filter(|folder| folder.is_dir()) {
         write_summary(&folder.join("batch.json"), &results)?;
     }

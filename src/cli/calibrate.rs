@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use serde::Serialize;
 
-use super::error::refuse_to_overwrite;
+use super::error::check_outputs;
 use super::{CliError, Global, Outcome, targets};
 use crate::camera::{Camera, Pose, file};
 use crate::report::{CameraReport, Warning};
@@ -59,11 +59,12 @@ pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
         );
     }
     let photos: Vec<&std::path::Path> = files.iter().map(PathBuf::as_path).collect();
-    refuse_to_overwrite(&photos, &[&args.out])?;
+    check_outputs(&photos, &[&args.out])?;
     let (found, _) = calibrate::from_boards(&files, &board)?;
     let FoundLens { lens, width, height, report, rungs, warnings } = &found;
     let camera =
         Camera { width: *width, height: *height, lens: lens.clone(), pose: Pose::identity() };
+    global.go_on()?;
     file::write(&args.out, &camera, false)?;
     for warning in warnings {
         global.warn(&warning.to_string());

@@ -23,8 +23,9 @@ pub struct Args {
 pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
     let shot = ShotFile::read(&args.shot)?;
     let terminal = Terminal::new(global);
-    let findings = check::check(&shot, &terminal);
+    let findings = check::check(&shot, &global.context(), &terminal);
     terminal.finish();
+    global.go_on()?;
     let findings = findings.map_err(|error| CliError::several(error.problems()))?;
     global.print(&findings, || findings.to_string());
     Ok(Outcome::Done)

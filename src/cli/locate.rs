@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use glam::DVec3;
 use serde::Serialize;
 
-use super::error::refuse_to_overwrite;
+use super::error::check_outputs;
 use super::{CliError, Global, Outcome, calibrate};
 use crate::camera::{Camera, file};
 use crate::photo::{self, ReadOptions};
@@ -91,7 +91,7 @@ struct Summary {
 
 pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
     if let Some(out) = &args.out {
-        refuse_to_overwrite(&[&args.photo], &[out])?;
+        check_outputs(&[&args.photo], &[out])?;
     }
     let read = file::read(&args.camera)?;
     let photo = photo::read(&args.photo, &ReadOptions::default())?;
@@ -109,12 +109,14 @@ pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
         )));
     }
     let source = source(args)?;
+    global.go_on()?;
     let mut found = locate::find_pose(&source, &read.camera.lens, size, None)?;
     let camera = Camera { pose: found.pose.clone(), ..read.camera };
     let facing = DVec3::from(args.facing.0);
     // Slip a hand's breadth round the target: what an object standing on it would show.
     found.report.slip_px = found.slip_px(&camera, DVec3::from(args.at.0), facing, SLIP_RADIUS_M);
     if let Some(out) = &args.out {
+        global.go_on()?;
         file::write(out, &camera, true)?;
     }
     for warning in &found.warnings {

@@ -4,10 +4,10 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
-use super::error::refuse_to_overwrite;
+use super::error::{check_ending, check_outputs};
 use super::{CliError, Global, Outcome};
 use crate::bracket::{
-    self, Frame, MergeOptions, Merged, Noise, ResponseSource, Validity, exposure,
+    self, Frame, MergeOptions, Merged, Noise, ResponseSource, Validity, Warning, exposure,
 };
 use crate::photo::{self, Photo, ReadOptions, colour};
 
@@ -73,14 +73,20 @@ struct FrameSummary {
     stated_exposure: f64,
     exposure: f64,
     shift_px: [f64; 2],
+    /// The same picture as another one, and left out.
+    copy: bool,
 }
 
 pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
     let photos: Vec<&Path> = args.photos.iter().map(PathBuf::as_path).collect();
-    refuse_to_overwrite(&photos, &[&args.out])?;
+    check_ending(&args.out, "exr")?;
+    check_outputs(&photos, &[&args.out])?;
     let options = ReadOptions { colour: colour::named(&args.colour)?, ..ReadOptions::default() };
-    let photos = read_all(&args.photos, &options)?;
+    let photos = read_all(&args.photos, &options, global)?;
     for photo in &photos {
+        for remark in &photo.remarks {
+            global.warn(&format!("{}: {remark}", photo.path.display()));
+        }
         if let Some(bad) = photo.nonfinite {
             let (path, (x, y)) = (photo.path.display(), bad.first);
             let n = bad.pixels;
@@ -113,17 +119,26 @@ pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
     for warning in &merged.warnings {
         global.warn(&warning.to_string());
     }
+    global.go_on()?;
     bracket::file::write(&args.out, &merged)?;
     let summary = summary(args, &stated, &merged);
     global.print(&summary, || text(&summary));
     Ok(Outcome::Done)
 }
 
+/// Largest file of shutter times, bytes.
+const LARGEST_LIST: u64 = 1 << 20;
+
 /// Reads every photograph; tells all that cannot be read together.
-fn read_all(paths: &[PathBuf], options: &ReadOptions) -> Result<Vec<Photo>, CliError> {
+fn read_all(
+    paths: &[PathBuf],
+    options: &ReadOptions,
+    global: &Global,
+) -> Result<Vec<Photo>, CliError> {
     let mut photos = Vec::new();
     let mut problems = Vec::new();
     for path in paths {
+        global.go_on()?;
         match photo::read(path, options) {
             Ok(photo) => photos.push(photo),
             Err(error) => problems.push(error.to_string()),
@@ -138,7 +153,7 @@ fn exposures(args: &Args, photos: &[Photo]) -> Result<Vec<f64>, CliError> {
             times.iter().map(|t| exposure::parse_time(t)).collect::<Result<Vec<_>, _>>()?
         }
         (None, Some(file)) => {
-            let text = std::fs::read_to_string(file)
+            let text = photo::text::read(file, LARGEST_LIST)
                 .map_err(|e| CliError::wrong(format!("{}: cannot be read: {e}", file.display())))?;
             exposure::parse_times(&text, &args.photos)?
         }
@@ -149,6 +164,9 @@ fn exposures(args: &Args, photos: &[Photo]) -> Result<Vec<f64>, CliError> {
 
 fn summary(args: &Args, stated: &[f64], merged: &Merged) -> Summary {
     let validity = merged.radiance.validity.pixels();
+    let is_copy = |file: &PathBuf| {
+        merged.warnings.iter().any(|w| matches!(w, Warning::Duplicate { b, .. } if b == file))
+    };
     let count = |class: Validity| validity.iter().filter(|&&v| v == class).count();
     Summary {
         out: args.out.clone(),
@@ -163,6 +181,7 @@ fn summary(args: &Args, stated: &[f64], merged: &Merged) -> Summary {
                 stated_exposure: stated[k],
                 exposure: merged.exposures[k],
                 shift_px: merged.shifts[k].to_array(),
+                copy: is_copy(file),
             })
             .collect(),
         full_well_e: merged.noise.full_well_e,
@@ -177,14 +196,20 @@ fn summary(args: &Args, stated: &[f64], merged: &Merged) -> Summary {
 }
 
 fn text(summary: &Summary) -> String {
+    let n_used = summary.frames.iter().filter(|frame| !frame.copy).count();
     let mut lines = vec![format!(
         "{}: {} × {} px from {} photographs",
         summary.out.display(),
         summary.width,
         summary.height,
-        summary.frames.len()
+        n_used
     )];
     for frame in &summary.frames {
+        if frame.copy {
+            lines
+                .push(format!("  {}  left out: the same picture as another", frame.file.display()));
+            continue;
+        }
         lines.push(format!(
             "  {}  exposure {:.4e} (stated {:.4e})  moved ({:+.2}, {:+.2}) px",
             frame.file.display(),

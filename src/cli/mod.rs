@@ -9,6 +9,7 @@ mod batch;
 mod calibrate;
 mod check;
 mod error;
+mod interrupt;
 mod locate;
 mod merge;
 mod panorama;
@@ -38,7 +39,8 @@ use crate::render::Context;
     arg_required_else_help = true,
     after_help = "Example:\n  platelight check shots/robot\n  platelight run shots/robot --out renders/robot\n\n\
                   Exit codes: 0 done, 1 part of a batch failed, 2 the request was wrong (nothing written) \
-                  or a result could not be written, 130 interrupted."
+                  or a result could not be written, 130 interrupted (Ctrl-C: a picture that is there is \
+                  written, else nothing; a second Ctrl-C ends at once)."
 )]
 struct Cli {
     #[command(flatten)]
@@ -62,12 +64,23 @@ pub struct Global {
     /// Say nothing but errors
     #[arg(long, short, global = true, help_heading = "Everywhere")]
     pub quiet: bool,
+    /// Cancelled by Ctrl-C; see [`interrupt`].
+    #[arg(skip)]
+    interrupted: Context,
 }
 
 impl Global {
     /// What long computations are given.
     pub fn context(&self) -> Context {
-        Context::new(self.seed)
+        self.interrupted.with_seed(self.seed)
+    }
+
+    /// To be asked between the steps of a command, and before anything is written.
+    ///
+    /// # Errors
+    /// The user wants no more of it.
+    fn go_on(&self) -> Result<(), CliError> {
+        if self.interrupted.is_cancelled() { Err(CliError::interrupted()) } else { Ok(()) }
     }
 
     /// Prints a command's result on stdout: as JSON if that was asked for, else as `text`.
@@ -165,15 +178,21 @@ impl Outcome {
 /// Parses the arguments, runs the command in a pool of `--threads`, and prints what went wrong.
 pub fn main() -> ExitCode {
     let Cli { global, command } = Cli::parse();
+    if let Err(error) = interrupt::cancel_on_signals(&global.interrupted) {
+        global.warn(&format!("Ctrl-C may leave half-written files: {error}"));
+    }
     let outcome = in_pool(&global, || dispatch(&command, &global));
     match outcome {
         Ok(outcome) => ExitCode::from(outcome.code()),
         Err(error) => {
             error.print(global.json);
-            ExitCode::from(CliError::CODE)
+            ExitCode::from(error.code())
         }
     }
 }
+
+/// More than any machine has cores; each thread takes memory for its stack.
+const MOST_THREADS: usize = 1024;
 
 /// Runs `work` where rayon uses the threads that were asked for.
 fn in_pool<T: Send>(
@@ -181,8 +200,10 @@ fn in_pool<T: Send>(
     work: impl FnOnce() -> Result<T, CliError> + Send,
 ) -> Result<T, CliError> {
     let threads = match global.threads {
-        Some(0) => {
-            return Err(CliError::wrong("--threads: 0 threads can do no work; give 1 or more"));
+        Some(n) if !(1..=MOST_THREADS).contains(&n) => {
+            return Err(CliError::wrong(format!(
+                "--threads: {n} is not between 1 and {MOST_THREADS}; leave it out to use all cores"
+            )));
         }
         Some(n) => n,
         // rayon's own default: RAYON_NUM_THREADS or all cores.

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use glam::{DMat3, DQuat, DVec2, DVec3, Vec3};
 use serde::Serialize;
 
-use super::error::refuse_to_overwrite;
+use super::error::{check_ending, check_outputs};
 use super::{CliError, Global, Outcome};
 use crate::bracket::{self, Frame, MergeOptions, Radiance, Validity, exposure};
 use crate::camera::lens::focal_px_from_35mm;
@@ -215,7 +215,11 @@ pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
     let further = [&args.preview, &args.overlay].into_iter().flatten();
     let outputs: Vec<&Path> =
         [&args.out].into_iter().chain(further).map(PathBuf::as_path).collect();
-    refuse_to_overwrite(&photos, &outputs)?;
+    check_ending(&args.out, "exr")?;
+    for png in [&args.preview, &args.overlay].into_iter().flatten() {
+        check_ending(png, "png")?;
+    }
+    check_outputs(&photos, &outputs)?;
     if args.overlay.is_some() && !args.kind.ball {
         return Err(CliError::wrong("--overlay draws a ball's rim; only --ball has one"));
     }
@@ -227,12 +231,15 @@ pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
                 return Err(CliError::wrong("a map of directions is one picture, not a bracket"));
             };
             let read = file::read(path, layout, wishes.rotation, args.width, &wishes.read)?;
+            let remarks = read.remarks.iter().map(|remark| format!("{}: {remark}", path.display()));
+            warnings.extend(remarks);
             warnings.extend(read.negative.map(|n| format!("{}: {n}", path.display())));
             Photographed { panorama: read.panorama, ball: None, overlay: None }
         }
-        None => photographed(&wishes, &mut warnings)?,
+        None => photographed(&wishes, &mut warnings, global)?,
     };
     let panorama = file::in_world_axes(&panorama).into_owned();
+    global.go_on()?;
     file::write(&args.out, &panorama)?;
     if let (Some(path), Some(drawn)) = (&args.overlay, &overlay) {
         write_png(path, drawn)?;
@@ -260,11 +267,21 @@ fn layout(kind: &Kind) -> Option<file::Layout> {
 }
 
 /// Ball or fisheye: merge, find, unwrap.
-fn photographed(wishes: &Wishes, warnings: &mut Vec<String>) -> Result<Photographed, CliError> {
+fn photographed(
+    wishes: &Wishes,
+    warnings: &mut Vec<String>,
+    global: &Global,
+) -> Result<Photographed, CliError> {
     let args = wishes.args;
     let photos: Vec<Photo> =
         args.photos.iter().map(|path| photo::read(path, &wishes.read)).collect::<Result<_, _>>()?;
+    for photo in &photos {
+        let path = photo.path.display();
+        warnings.extend(photo.remarks.iter().map(|remark| format!("{path}: {remark}")));
+    }
+    global.go_on()?;
     let radiance = radiance(wishes, &photos, warnings)?;
+    global.go_on()?;
     let (w, h) = (radiance.mean.width(), radiance.mean.height());
     if let Some(kind) = args.kind.fisheye {
         let fisheye = fisheye(wishes, kind, w, h)?;
@@ -371,6 +388,12 @@ fn ball_camera(args: &Args, photo: &Photo, w: usize, h: usize) -> Result<Camera,
         return Ok(camera);
     }
     let exif = || focal_px_from_35mm(photo.facts.focal_35mm?, w, h);
+    if let Some(given) = args.focal_px.filter(|f| !(f.is_finite() && *f > 0.0)) {
+        return Err(CliError::wrong(format!(
+            "--focal-px: {given} is not above 0; give focal length in mm / sensor width in mm × \
+             picture width in px"
+        )));
+    }
     let focal = args.focal_px.or_else(exif).filter(|f| f.is_finite() && *f > 0.0);
     let focal = focal.ok_or_else(|| {
         let path = photo.path.display();
@@ -380,6 +403,8 @@ fn ball_camera(args: &Args, photo: &Photo, w: usize, h: usize) -> Result<Camera,
         ))
     })?;
     let lens = Lens::pinhole(focal, w, h);
+    let source = if args.focal_px.is_some() { "--focal-px" } else { "EXIF" };
+    lens.check_plausible(w, h).map_err(|cause| CliError::wrong(format!("{source}: {cause}")))?;
     Ok(Camera { width: w, height: h, lens, pose: Pose::identity() })
 }
 

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use serde::Serialize;
 
-use super::error::refuse_to_overwrite;
+use super::error::{check_ending, check_outputs};
 use super::{CliError, Global, Outcome};
 use crate::photo::tone::{self, ToneCurve};
 use crate::photo::{self, Encoding, EncodingSource, Primaries, ReadOptions, Transfer, colour, png};
@@ -64,8 +64,12 @@ pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
         ..ReadOptions::default()
     };
     let out = args.out.clone().unwrap_or_else(|| args.picture.with_extension("preview.png"));
-    refuse_to_overwrite(&[&args.picture], &[&out])?;
+    check_ending(&out, "png")?;
+    check_outputs(&[&args.picture], &[&out])?;
     let photo = photo::read(&args.picture, &options)?;
+    for remark in &photo.remarks {
+        global.warn(&format!("{}: {remark}", args.picture.display()));
+    }
     let stops = match args.exposure.as_str() {
         "auto" => tone::automatic_stops(&photo.linear),
         text => text.parse().ok().filter(|s: &f32| s.abs() <= 60.0).ok_or_else(|| {
@@ -84,6 +88,7 @@ pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
         primaries: Primaries::Rec709,
         source: EncodingSource::Named,
     };
+    global.go_on()?;
     png::write(&out, &png::srgb_codes(&shown), shown.width(), shown.height(), &encoding)?;
     if white > 0.9 && args.exposure != "auto" {
         let share = 100.0 * white;

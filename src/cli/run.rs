@@ -5,9 +5,10 @@ use std::path::PathBuf;
 use super::terminal::Terminal;
 use super::{CliError, Global, Outcome};
 use crate::report::summary;
+use crate::shot::ShotFile;
 use crate::shot::batch::out_folder;
+use crate::shot::file::{ERRORS, NO_ERROR, StopKeys};
 use crate::shot::run::{RunError, RunOptions, run_frames};
-use crate::shot::{ShotFile, file::StopKeys};
 
 /// Put the objects of a shot into its plate
 #[derive(Debug, clap::Args)]
@@ -58,7 +59,10 @@ impl Stop {
             }
         };
         Ok(match (self.error, self.time, self.samples) {
-            (Some(error), ..) => Some(StopKeys::Error(positive("error", error)?)),
+            (Some(error), ..) if !ERRORS.contains(&error) => {
+                return Err(CliError::wrong(format!("--error: {error} {NO_ERROR}")));
+            }
+            (Some(error), ..) => Some(StopKeys::Error(error)),
             (_, Some(time), _) => Some(StopKeys::Time(positive("time", time)?)),
             (.., Some(0)) => return Err(CliError::wrong("--samples: 0 samples show nothing")),
             (.., Some(samples)) => Some(StopKeys::Samples(samples)),
@@ -101,6 +105,7 @@ pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
         outcome = Outcome::PartFailed;
     }
     match reports.as_slice() {
+        [] if outcome == Outcome::Interrupted => return Err(CliError::interrupted()),
         [] => {}
         [report] => global.print(report, || summary(report)),
         _ => global.print(&reports, || format!("{} frames in {}", reports.len(), out.display())),

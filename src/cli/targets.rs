@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
+use super::error::check_outputs;
 use super::{CliError, Global, Outcome};
 use crate::photo::atomic;
 use crate::shot::sheet::{self, Sheet};
@@ -100,6 +101,8 @@ pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
         }
     };
     let bytes = encode(out, &sheets)?;
+    check_outputs(&[], &[out])?;
+    global.go_on()?;
     atomic::write(out, |file| file.write_all(&bytes))
         .map_err(|e| CliError::wrong(format!("{}: {e}", out.display())))?;
     let page_mm = [sheets[0].width_mm, sheets[0].height_mm];

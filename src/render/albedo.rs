@@ -76,7 +76,7 @@ impl AlbedoMap {
         let nodes: Vec<Option<Node>> = (0..columns * rows)
             .into_par_iter()
             .map(|k| {
-                if context.is_cancelled() {
+                if context.is_over() {
                     return None;
                 }
                 let pixel = (centre(k % columns, width), centre(k / columns, height));

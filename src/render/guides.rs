@@ -5,6 +5,7 @@
 use glam::Vec3;
 use rayon::prelude::*;
 
+use super::Context;
 use super::primary::Primary;
 use super::sampler::{Numbers, Sampler};
 use super::surface::Colouring;
@@ -134,24 +135,29 @@ struct Seen {
 }
 
 impl Guides {
-    /// Guides of the picture, and what `judge` says of the view of each of its `blocks`.
+    /// Guides of the picture, and what `judge` says of the view of each of its `blocks`; `None` for
+    /// blocks that were not looked at before the context was over.
     pub fn new<T: Send>(
         world: &World,
         primary: &Primary,
         blocks: &[Block],
+        context: &Context,
         judge: impl Fn(&View) -> T + Sync,
-    ) -> (Self, Vec<T>) {
+    ) -> (Self, Vec<Option<T>>) {
         let (width, height) = (world.plate.width(), world.plate.height());
         let mut guides = Self {
             depth: Image::filled(width, height, f32::INFINITY),
             normal: Image::filled(width, height, Vec3::ZERO),
             local: Image::filled(width, height, None),
         };
-        let found: Vec<(Vec<Seen>, T)> = blocks
+        let found: Vec<(Vec<Seen>, Option<T>)> = blocks
             .par_iter()
             .map(|block| {
+                if context.is_over() {
+                    return (Vec::new(), None);
+                }
                 let (seen, view) = look(world, primary, block);
-                (seen, judge(&view))
+                (seen, Some(judge(&view)))
             })
             .collect();
         let mut judged = Vec::with_capacity(blocks.len());

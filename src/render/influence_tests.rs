@@ -29,7 +29,10 @@ fn bounds(
     AlbedoMap::solve(&mut world, &primary, &Context::new(1));
     let blocks = Block::all(WIDTH, HEIGHT);
     let influence = Influence::new(&world);
-    let (_, bounds) = Guides::new(&world, &primary, &blocks, |view| influence.bound(view, 0.01));
+    let context = Context::default();
+    let judge = |view: &super::guides::View| influence.bound(view, 0.01);
+    let (_, bounds) = Guides::new(&world, &primary, &blocks, &context, judge);
+    let bounds: Vec<f32> = bounds.into_iter().flatten().collect();
     blocks.into_iter().zip(bounds).collect()
 }
 

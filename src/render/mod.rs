@@ -38,6 +38,7 @@ pub use sampler::Numbers;
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Instant;
 
 use crate::conventions::Rgb;
 use crate::photo::Image;
@@ -48,6 +49,7 @@ pub struct Context {
     /// Same input and seed: same bytes, whatever the number of threads.
     pub seed: u64,
     cancelled: Arc<AtomicBool>,
+    deadline: Option<Instant>,
 }
 
 impl Context {
@@ -57,7 +59,17 @@ impl Context {
 
     /// The same cancellation with another seed.
     pub fn with_seed(&self, seed: u64) -> Self {
-        Self { seed, cancelled: Arc::clone(&self.cancelled) }
+        Self { seed, ..self.clone() }
+    }
+
+    /// The same, over at `deadline` at the latest; `None` sets no other end.
+    pub fn until(&self, deadline: Option<Instant>) -> Self {
+        Self { deadline: deadline.or(self.deadline), ..self.clone() }
+    }
+
+    /// What cancels this context when it is set, for those who cannot call: signal handlers.
+    pub fn flag(&self) -> Arc<AtomicBool> {
+        Arc::clone(&self.cancelled)
     }
 
     /// Asks every computation that shares this context to stop soon.
@@ -67,6 +79,11 @@ impl Context {
 
     pub fn is_cancelled(&self) -> bool {
         self.cancelled.load(Ordering::Relaxed)
+    }
+
+    /// Cancelled, or past its deadline. Cheap enough to be asked every few samples.
+    pub fn is_over(&self) -> bool {
+        self.is_cancelled() || self.deadline.is_some_and(|deadline| Instant::now() > deadline)
     }
 }
 
@@ -130,6 +147,9 @@ pub struct Wave {
     /// Pixels that this error leaves out: their light is found by chance (caustics) and is far
     /// noisier than around them. Their own standard error says so.
     pub outliers: u64,
+    /// Pixels that the objects may change and that have no samples yet: the time was over, or the
+    /// context cancelled, before their first ones were taken. The difference is 0 there.
+    pub missing: u64,
 }
 
 impl Wave {

@@ -1,5 +1,6 @@
 //! A tile of pixels: what it has gathered, how wrong that is, and how many samples it should get.
 
+use super::Context;
 use super::film::{Estimate, Noise, Pixel, Sample};
 use super::guides::Block;
 use super::sampler::{Numbers, Sampler};
@@ -14,6 +15,9 @@ const INFLUENCE: f64 = 0.01;
 const HEAVY_TAIL: f64 = 0.02;
 /// A pixel left out is told of if its variance is this many times the others' mean.
 const OUTLIER: f64 = 25.0;
+/// Samples of a pixel between two looks at the clock. A sample costs microseconds in most scenes and
+/// milliseconds where thousands of triangles coincide; a look costs 30 ns.
+const BETWEEN_LOOKS: u32 = 4;
 
 /// Samples and pooled error of a block of pixels.
 pub struct Tile {
@@ -89,33 +93,38 @@ impl Tile {
 
     /// Takes the planned replicates of `sample(x, y, sampler)`; returns the samples taken.
     ///
-    /// Replicate r draws from the numbers of replicate `offset` + r.
+    /// Replicate r draws from the numbers of replicate `offset` + r. If the context is over before
+    /// all are taken, none is: the tile is what it was.
     pub fn render(
         &mut self,
         sample: impl Fn(usize, usize, Sampler) -> Sample,
-        seed: u64,
+        context: &Context,
         offset: u32,
         numbers: Numbers,
     ) -> u64 {
-        if self.pilot || self.pixels.is_empty() {
-            self.pixels = vec![Pixel::default(); self.block.n_pixels()];
-            self.replicates = 0;
-        }
-        if self.pilot {
-            (self.n, self.pilot) = (self.n_next, false);
-        }
-        let more = offset + self.replicates..offset + self.replicates + self.planned;
-        for (k, pixel) in self.pixels.iter_mut().enumerate() {
+        let n = if self.pilot { self.n_next } else { self.n };
+        let (mut pixels, held) = if self.pilot || self.pixels.is_empty() {
+            (vec![Pixel::default(); self.block.n_pixels()], 0)
+        } else {
+            (self.pixels.clone(), self.replicates)
+        };
+        let more = offset + held..offset + held + self.planned;
+        for (k, pixel) in pixels.iter_mut().enumerate() {
             let (x, y) = self.block.pixel(k);
             for replicate in more.clone() {
                 let mut sum = Sample::default();
-                for index in 0..self.n {
-                    sum += sample(x, y, Sampler::new(seed, (x, y), replicate, index, numbers));
+                for index in 0..n {
+                    if index % BETWEEN_LOOKS == 0 && context.is_over() {
+                        return 0;
+                    }
+                    let sampler = Sampler::new(context.seed, (x, y), replicate, index, numbers);
+                    sum += sample(x, y, sampler);
                 }
-                pixel.add(sum * (1.0 / self.n as f32));
+                pixel.add(sum * (1.0 / n as f32));
             }
         }
-        self.replicates += self.planned;
+        (self.pixels, self.n, self.replicates) = (pixels, n, held + self.planned);
+        self.pilot = false;
         self.work()
     }
 
@@ -195,7 +204,7 @@ mod tests {
             let light = 1.0 + (sampler.one(Purpose::Choice) - 0.5);
             Sample { coverage: 1.0, object: Rgb::splat(light), ..Sample::default() }
         };
-        let taken = tile.render(sample, 5, 0, Numbers::Independent);
+        let taken = tile.render(sample, &Context::new(5), 0, Numbers::Independent);
         assert_eq!(taken, 8 * 256);
         let plate = Image::filled(16, 16, Rgb::ONE);
         tile.measure(&plate, FLOORS);
@@ -218,10 +227,29 @@ mod tests {
         tile.pilot = true;
         let pilot = tile.estimate(3, &plate, 1e-6);
         (tile.n_next, tile.planned) = (1, 4);
-        tile.render(|_, _, _| Sample::default(), 5, 100, Numbers::Independent);
+        tile.render(|_, _, _| Sample::default(), &Context::new(5), 100, Numbers::Independent);
         assert!(!tile.pilot && tile.replicates == 4);
         assert_ne!(tile.estimate(3, &plate, 1e-6), pilot);
         assert_eq!(tile.estimate(3, &plate, 1e-6), Some(Estimate::default()));
+    }
+
+    #[test]
+    fn a_tile_that_is_broken_off_is_what_it_was() {
+        let (mut tile, plate) = tile(256);
+        let (before, held) = (tile.estimate(3, &plate, 1e-6), tile.replicates);
+        let context = Context::new(5);
+        let mut taken = std::cell::Cell::new(0);
+        let sample = |_: usize, _: usize, _: Sampler| {
+            taken.set(taken.get() + 1);
+            if taken.get() == 100 {
+                context.cancel();
+            }
+            Sample::default()
+        };
+        (tile.pilot, tile.n_next, tile.planned) = (true, 2, 4);
+        assert_eq!(tile.render(sample, &context, 0, Numbers::Independent), 0);
+        assert!(tile.pilot && tile.replicates == held && *taken.get_mut() < 110);
+        assert_eq!(tile.estimate(3, &plate, 1e-6), before);
     }
 
     #[test]

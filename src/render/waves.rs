@@ -8,7 +8,7 @@
 //! every sample is a function of its pixel, replicate and index, every tile has one owner, sums over
 //! tiles go in order.
 
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use rayon::prelude::*;
 
@@ -37,6 +37,8 @@ const FLOOR: f32 = 0.02;
 const UNSEEN_SHARE: f64 = 0.1;
 /// The same where no error is asked for.
 const UNSEEN: f64 = 1e-4;
+/// How far past the time asked for the pilot may go, so that every part of the picture has something.
+const PILOT_GRACE_SECONDS: f64 = 1.0;
 
 /// Something that takes one camera sample.
 pub trait Estimator: Sync {
@@ -63,6 +65,8 @@ pub struct Waves<E> {
     samples: u64,
     error: f64,
     floors: Floors,
+    /// Pixels that should have samples and got none from the pilot; all before it.
+    missing: u64,
 }
 
 impl<E: Estimator> Waves<E> {
@@ -72,6 +76,7 @@ impl<E: Estimator> Waves<E> {
         let sum: f64 = plate.pixels().iter().map(|&p| f64::from(luminance(p).max(0.0))).sum();
         let mean = (sum / plate.pixels().len().max(1) as f64) as f32;
         Self {
+            missing: plate.pixels().len() as u64,
             tiles: blocks.into_iter().map(Tile::new).collect(),
             estimator,
             stop,
@@ -102,11 +107,13 @@ impl<E: Estimator> Waves<E> {
         let (world, primary) = (self.estimator.world(), self.estimator.primary());
         let blocks: Vec<Block> = self.tiles.iter().map(|tile| tile.block).collect();
         let (influence, unseen) = (Influence::new(world), self.unseen());
-        let (guides, bounds) = Guides::new(world, primary, &blocks, |view| {
+        let (guides, bounds) = Guides::new(world, primary, &blocks, context, |view| {
             let objects = primary.meets(&view.block, &world.parts, world.eye);
             if objects { f32::INFINITY } else { influence.bound(view, unseen) }
         });
-        for (tile, &bound) in self.tiles.iter_mut().zip(&bounds) {
+        for (tile, bound) in self.tiles.iter_mut().zip(bounds) {
+            // What was not looked at may be changed by any amount.
+            let bound = bound.unwrap_or(f32::INFINITY);
             tile.doubtful = bound <= unseen && influence.may_focus && bound > 0.0;
             let matters = bound > unseen || tile.doubtful;
             tile.planned = if matters { PILOT_REPLICATES } else { 0 };
@@ -117,6 +124,8 @@ impl<E: Estimator> Waves<E> {
     /// Ends the pilot: it is marked to give way, and tiles that only a focused reflection could have
     /// reached are given up where it found none.
     fn end_pilot(&mut self) {
+        let missed = self.tiles.iter().filter(|tile| tile.planned > 0 && tile.replicates == 0);
+        self.missing = missed.map(|tile| tile.block.n_pixels() as u64).sum();
         let unseen = f64::from(self.unseen());
         for tile in &mut self.tiles {
             tile.pilot = true;
@@ -202,15 +211,6 @@ impl<E: Estimator> Waves<E> {
     /// Renders what is planned; returns the samples taken. Tiles for which there is no time keep
     /// what they have.
     fn render(&mut self, context: &Context) -> u64 {
-        let deadline = match self.stop {
-            Stop::TimeSeconds(limit) if self.waves > 0 => Some(limit),
-            _ => None,
-        };
-        let started = self.started;
-        let late = || {
-            let elapsed = started.map_or(0.0, |s| s.elapsed().as_secs_f64());
-            deadline.is_some_and(|limit| elapsed > limit)
-        };
         // The pilot and the picture use different numbers.
         let offset = if self.waves == 0 { 1 << 30 } else { 0 };
         let (estimator, numbers, floors) = (&self.estimator, self.numbers, self.floors);
@@ -219,11 +219,13 @@ impl<E: Estimator> Waves<E> {
             .par_iter_mut()
             .with_max_len(4)
             .map(|tile| {
-                if tile.planned == 0 || context.is_cancelled() || late() {
+                if tile.planned == 0 || context.is_over() {
                     return 0;
                 }
-                let taken = tile.render(sample, context.seed, offset, numbers);
-                tile.measure(estimator.world().plate, floors);
+                let taken = tile.render(sample, context, offset, numbers);
+                if taken > 0 {
+                    tile.measure(estimator.world().plate, floors);
+                }
                 taken
             })
             .sum()
@@ -259,6 +261,15 @@ impl<E: Estimator> Waves<E> {
         }
     }
 
+    /// When the time asked for is over; later for the pilot.
+    fn deadline(&self) -> Option<Instant> {
+        let Stop::TimeSeconds(limit) = self.stop else { return None };
+        let grace = if self.waves == 0 { PILOT_GRACE_SECONDS } else { 0.0 };
+        // A time beyond the clock's range never comes.
+        let limit = Duration::try_from_secs_f64(limit + grace).ok()?;
+        self.started?.checked_add(limit)
+    }
+
     fn outliers(&self) -> u64 {
         self.tiles.iter().map(|tile| tile.noise.outliers).sum()
     }
@@ -266,25 +277,32 @@ impl<E: Estimator> Waves<E> {
 
 impl<E: Estimator> Integrator for Waves<E> {
     fn next_wave(&mut self, context: &Context) -> Wave {
-        let nothing = |progress| Wave { samples: 0, done: 1.0, progress, error: 0.0, outliers: 0 };
+        let nothing = |progress| Wave {
+            samples: 0,
+            done: 1.0,
+            progress,
+            error: 0.0,
+            outliers: 0,
+            missing: 0,
+        };
         if self.estimator.world().objects.is_empty() {
             return nothing(Progress::Met);
         }
         if context.is_cancelled() {
-            let (error, outliers) = (self.error, self.outliers());
-            return Wave { error, outliers, ..nothing(Progress::Cancelled) };
+            let (error, outliers, missing) = (self.error, self.outliers(), self.missing);
+            return Wave { error, outliers, missing, ..nothing(Progress::Cancelled) };
         }
         let begin = Instant::now();
         if self.waves == 0 {
             self.started = Some(begin);
-            self.begin(context);
+            self.begin(&context.until(self.deadline()));
         } else {
             self.plan();
             if let Stop::TimeSeconds(limit) = self.stop {
                 self.fit_into(limit);
             }
         }
-        let samples = self.render(context);
+        let samples = self.render(&context.until(self.deadline()));
         if self.waves == 0 {
             self.end_pilot();
         }
@@ -300,7 +318,8 @@ impl<E: Estimator> Integrator for Waves<E> {
             _ => Progress::Going,
         };
         let done = if progress == Progress::Going { done.min(0.999) } else { 1.0 };
-        Wave { samples, done, progress, error: self.error, outliers: self.outliers() }
+        let (outliers, missing) = (self.outliers(), self.missing);
+        Wave { samples, done, progress, error: self.error, outliers, missing }
     }
 
     fn snapshot(&self) -> Difference {
@@ -326,5 +345,100 @@ impl<E: Estimator> Integrator for Waves<E> {
             out.albedo = world.albedo.layer(world, &guides.local);
         }
         out
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::light::Lights;
+    use crate::photo::Image;
+    use crate::render::coupled::Coupled;
+    use crate::render::test_scenes::*;
+    use crate::scene::{AlbedoSource, Scene};
+
+    /// The coupled estimator in a scene so slow that a sample takes milliseconds.
+    struct Slow<'a>(Coupled<'a>);
+
+    const SAMPLE: Duration = Duration::from_millis(4);
+
+    impl Estimator for Slow<'_> {
+        fn world(&self) -> &World<'_> {
+            &self.0.world
+        }
+
+        fn primary(&self) -> &Primary {
+            &self.0.primary
+        }
+
+        fn solve_albedo(&mut self, context: &Context) {
+            self.0.solve_albedo(context);
+        }
+
+        fn sample(&self, x: usize, y: usize, sampler: Sampler) -> Sample {
+            std::thread::sleep(SAMPLE);
+            self.0.sample(x, y, sampler)
+        }
+    }
+
+    fn scene_and_lights() -> (Scene, Lights) {
+        let ball = sphere(glam::Vec3::new(0.0, 0.3, 0.0), 0.3, 2);
+        let ground = local(ground(2.0), AlbedoSource::Plate);
+        (scene(vec![ball], matt(0.5), vec![ground]), uniform_sky(1.0))
+    }
+
+    /// Runs a slow scene, whose pilot alone would take 10 s, to its end; `cancel_after` seconds.
+    fn run_slow(stop: Stop, cancel_after: Option<f64>) -> (Wave, Difference, f64) {
+        let (scene, lights) = scene_and_lights();
+        let camera = corner_camera(80, 60, 3.0);
+        let plate = Image::filled(80, 60, crate::conventions::Rgb::splat(0.2));
+        let world = World::new(&scene, &lights, &camera, &plate);
+        let primary = Primary::new(&camera, world.eye);
+        let slow = Slow(Coupled { world, primary });
+        let mut waves = Waves::new(slow, stop, Numbers::SobolOwen, 0.0);
+        let context = Context::new(1);
+        let begin = Instant::now();
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(2).build().unwrap();
+        let wave = std::thread::scope(|scope| {
+            if let Some(seconds) = cancel_after {
+                let context = context.clone();
+                scope.spawn(move || {
+                    std::thread::sleep(Duration::from_secs_f64(seconds));
+                    context.cancel();
+                });
+            }
+            pool.install(|| {
+                loop {
+                    let wave = waves.next_wave(&context);
+                    if wave.finished() {
+                        break wave;
+                    }
+                }
+            })
+        });
+        (wave, waves.snapshot(), begin.elapsed().as_secs_f64())
+    }
+
+    #[test]
+    fn the_time_asked_for_holds_in_the_pilot_too_and_what_is_missing_is_told() {
+        let (wave, difference, seconds) = run_slow(Stop::TimeSeconds(0.3), None);
+        // 0.3 s, the pilot's grace, and as much again for a machine with other work.
+        assert!(seconds < 2.6, "{seconds} s");
+        assert_eq!(wave.progress, Progress::Met);
+        let unsampled = difference.samples.pixels().iter().filter(|&&n| n == 0).count() as u64;
+        assert!(wave.missing > 0 && wave.missing <= unsampled, "{} {unsampled}", wave.missing);
+    }
+
+    #[test]
+    fn a_cancelled_pilot_ends_soon() {
+        let (wave, _, seconds) = run_slow(Stop::Samples(8), Some(0.3));
+        assert!(seconds < 1.3, "{seconds} s");
+        assert!(wave.progress == Progress::Cancelled && wave.missing > 0);
+    }
+
+    #[test]
+    fn a_time_beyond_any_clock_never_comes() {
+        let (wave, ..) = run_slow(Stop::TimeSeconds(1e300), Some(0.1));
+        assert_eq!(wave.progress, Progress::Cancelled);
     }
 }

@@ -10,6 +10,7 @@ use super::plan::Plan;
 use super::prepare::prepare;
 use super::run::RunError;
 use super::watch::{Stopwatch, Watch};
+use crate::render::Context;
 use crate::report::{CameraReport, LightsReport, PoseReport, ProbeReport, Warning};
 
 /// What a check found on a shot that can run.
@@ -34,7 +35,7 @@ pub struct Findings {
 }
 
 /// Reads, calibrates, locates and unwraps, as a run would, and renders nothing.
-pub fn check(shot: &ShotFile, watch: &dyn Watch) -> Result<Findings, RunError> {
+pub fn check(shot: &ShotFile, context: &Context, watch: &dyn Watch) -> Result<Findings, RunError> {
     let mut first = shot.clone();
     let mut missing = Vec::new();
     let mut frames = 1;
@@ -57,7 +58,7 @@ pub fn check(shot: &ShotFile, watch: &dyn Watch) -> Result<Findings, RunError> {
     let mut stopwatch = Stopwatch::new();
     stopwatch.begin("read the shot", watch);
     let mut plan = Plan::make(first).map_err(RunError::Problems)?;
-    let prepared = prepare(&mut plan, &mut stopwatch, watch).map_err(RunError::Problems)?;
+    let prepared = prepare(&mut plan, &mut stopwatch, context, watch)?;
     let local = plan.support.iter().chain(&plan.local);
     Ok(Findings {
         shot: shot.path.clone(),

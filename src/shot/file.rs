@@ -13,7 +13,7 @@ use super::camera_keys::{CameraKeys, ExposureKeys, PoseSource};
 use super::frames::Frames;
 use super::keys::{Keys, Problems};
 use super::probe_keys::{Lamp, ProbeKeys, Surroundings};
-use crate::photo::NamedColour;
+use crate::photo::{NamedColour, text};
 
 /// The whole shot file.
 #[derive(Clone, Debug, Serialize)]
@@ -154,8 +154,8 @@ pub struct Output {
 /// What is wrong with a shot file: every problem found, together.
 #[derive(Debug, thiserror::Error)]
 pub enum ShotFileError {
-    #[error("{path}: {cause}; name a shot.toml or the folder that holds one")]
-    Unreadable { path: PathBuf, cause: String },
+    #[error("{}: {cause}; name a shot.toml or the folder that holds one", path.display())]
+    Unreadable { path: PathBuf, cause: std::io::Error },
     #[error("{}", .0.join("\n"))]
     Problems(Vec<String>),
 }
@@ -164,15 +164,9 @@ impl ShotFile {
     /// Reads a shot file, or the `shot.toml` of a folder.
     pub fn read(path: &Path) -> Result<Self, ShotFileError> {
         let path = if path.is_dir() { path.join("shot.toml") } else { path.to_owned() };
-        let unreadable = |cause: String| ShotFileError::Unreadable { path: path.clone(), cause };
-        let size = std::fs::metadata(&path).map_err(|e| unreadable(e.to_string()))?.len();
-        if size > MAX_BYTES {
-            return Err(unreadable(format!(
-                "is {size} bytes; a shot file has at most {MAX_BYTES}"
-            )));
-        }
-        let text = std::fs::read_to_string(&path).map_err(|e| unreadable(e.to_string()))?;
-        Self::parse(&path, &text)
+        let read = text::read(&path, MAX_BYTES)
+            .map_err(|cause| ShotFileError::Unreadable { path: path.clone(), cause })?;
+        Self::parse(&path, &read)
     }
 
     /// Reads the text of a shot file that lies at `path`.
@@ -286,6 +280,9 @@ fn read_plate(keys: &Keys, folder: &Path) -> Option<PlateKeys> {
     }
     let exposure = ExposureKeys::read(keys, "exposure");
     let relative_exposure = keys.positive("relative_exposure");
+    if relative_exposure.is_some() && keys.has("exposure") {
+        keys.problem("relative_exposure", "and exposure exclude each other; keep one");
+    }
     let colour = match keys.text("colour") {
         None | Some("auto") => PlateColour::Auto,
         Some("bracket") => PlateColour::Bracket,
@@ -353,6 +350,12 @@ fn read_object(keys: &Keys, folder: &Path) -> Option<Object> {
 
 const RENDER: &[&str] = &["error", "time", "samples", "method"];
 
+/// Errors that can be asked for, as shares of the plate.
+pub const ERRORS: std::ops::Range<f64> = 1e-5..1.0;
+/// What is said of others.
+pub const NO_ERROR: &str =
+    "is no share of the plate between 1e-5 and 1; 0.01 is one per cent, which no eye sees";
+
 /// One per cent of the plate: what an eye does not see in a single picture.
 const DEFAULT_ERROR: f64 = 0.01;
 
@@ -361,7 +364,13 @@ fn read_render(keys: &Keys) -> Option<Render> {
     let given = ["error", "time", "samples"].iter().any(|key| keys.has(key));
     let stop = if given {
         match keys.exactly_one(&["error", "time", "samples"])? {
-            "error" => StopKeys::Error(keys.positive("error")?),
+            "error" => StopKeys::Error(keys.positive("error").filter(|&error| {
+                let can_be = ERRORS.contains(&error);
+                if !can_be {
+                    keys.problem("error", &format!("{error} {NO_ERROR}"));
+                }
+                can_be
+            })?),
             "time" => StopKeys::Time(read_seconds(keys)?),
             _ => StopKeys::Samples(keys.count("samples").filter(|&n| {
                 if n == 0 {

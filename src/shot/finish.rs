@@ -94,6 +94,15 @@ pub fn finish(
             format!("{:.3} % instead of {:.3} %", 100.0 * render.error, 100.0 * target),
         ));
     }
+    if render.missing > 0 {
+        let pixels = plate.linear.pixels().len() as u64;
+        warnings.push(Warning::new(
+            "render.time",
+            "the time was over before every part of the picture had its first samples; what has none \
+             shows the plate without the objects; give more time",
+            format!("{:.1} % of the picture", percent(render.missing, pixels)),
+        ));
+    }
     if render.outliers > 0 {
         warnings.push(Warning::new(
             "render",

@@ -13,10 +13,11 @@ use super::near_field;
 use super::place;
 use super::plan::Plan;
 use super::probe_keys::{Ball, ProbeSource};
+use super::run::RunError;
 use super::unseen;
 use super::watch::{Stopwatch, Watch};
 use crate::camera::{Camera, Distortion};
-use crate::render::Method;
+use crate::render::{Context, Method};
 use crate::report::{CameraReport, LightsReport, PoseReport, ProbeReport, Warning};
 use crate::scene::Scene;
 use crate::trace::accel::lost_triangles;
@@ -43,25 +44,31 @@ pub struct Prepared {
 /// Calibrates, locates, unwraps and builds the scene.
 ///
 /// # Errors
-/// Every problem found, each with file, key and remedy.
+/// Every problem found, each with file, key and remedy; [`RunError::Interrupted`] between two steps
+/// once the context is cancelled.
 pub fn prepare(
     plan: &mut Plan,
     stopwatch: &mut Stopwatch,
+    context: &Context,
     watch: &dyn Watch,
-) -> Result<Prepared, Vec<String>> {
-    let method = method(plan).map_err(|problem| vec![problem])?;
+) -> Result<Prepared, RunError> {
+    let mut begin = |stage| {
+        stopwatch.begin(stage, watch);
+        if context.is_cancelled() { Err(RunError::Interrupted) } else { Ok(()) }
+    };
+    let method = method(plan).map_err(one)?;
 
-    stopwatch.begin("merge the bracket", watch);
+    begin("merge the bracket")?;
     let bracket = bracket::merge(plan);
     let plan: &Plan = plan;
     let shot = &plan.shot;
 
-    stopwatch.begin("calibrate the lens", watch);
+    begin("calibrate the lens")?;
     let in_file = |error: String| format!("{}: {error}", shot.path.display());
     let found_lens = find_lens(&shot.camera.source, &plan.plate)
-        .map_err(|error| vec![in_file(format!("camera: {error}"))])?;
+        .map_err(|error| one(in_file(format!("camera: {error}"))))?;
 
-    stopwatch.begin("find the camera's place", watch);
+    begin("find the camera's place")?;
     let size = [found_lens.width, found_lens.height];
     let found_pose = find_pose(&shot.pose, &found_lens.lens, size, own_board(&shot.camera))
         .map_err(|error| in_file(format!("pose: {error}")));
@@ -71,7 +78,7 @@ pub fn prepare(
         ProbeSource::Fisheye(_) | ProbeSource::Panorama(_) => Ok(None),
     };
 
-    stopwatch.begin("unwrap the probe", watch);
+    begin("unwrap the probe")?;
     // A ball whose camera stands where the plate's does has none while that place is not found: one
     // problem, not two.
     let is_ball = matches!(shot.probe.source, ProbeSource::Ball(_));
@@ -83,17 +90,20 @@ pub fn prepare(
     let (found_pose, unwrapped) = match (found_pose, unwrapped) {
         (Ok(pose), Ok(Some(unwrapped))) => (pose, unwrapped),
         (pose, unwrapped) => {
-            return Err([pose.err(), unwrapped.err()].into_iter().flatten().collect());
+            let problems = [pose.err(), unwrapped.err()].into_iter().flatten().collect();
+            return Err(RunError::Problems(problems));
         }
     };
 
-    stopwatch.begin("build scene and lights", watch);
+    begin("build scene and lights")?;
     let camera = plate_camera(plan, &found_lens, &found_pose);
     let scene = place::scene(plan)
-        .map_err(|problem| vec![format!("{}: {problem}", plan.shot.path.display())])?;
+        .map_err(|problem| one(format!("{}: {problem}", plan.shot.path.display())))?;
     let around = Surroundings { plan, camera: &camera, scene: &scene };
-    let (light, probe_report, lights_report) =
-        light::light(unwrapped, &around).map_err(|problem| vec![problem])?;
+    let (light, probe_report, lights_report) = light::light(unwrapped, &around).map_err(one)?;
+    if context.is_cancelled() {
+        return Err(RunError::Interrupted);
+    }
 
     let mut warnings = found_lens.warnings;
     warnings.extend(found_pose.warnings.iter().cloned());
@@ -131,6 +141,11 @@ pub fn prepare(
         },
         near_field_error,
     })
+}
+
+/// A problem that nothing else can be looked for behind.
+fn one(problem: String) -> RunError {
+    RunError::Problems(vec![problem])
 }
 
 /// The renderer's methods by their names in the shot file.

@@ -16,7 +16,7 @@ use super::prepare::{Prepared, method_name, prepare};
 use super::watch::{Stopwatch, Watch, cpu_seconds};
 use super::write::{self, FileMark, OutFiles};
 use crate::composite::{Mode, compose};
-use crate::photo::PhotoError;
+use crate::photo::{PhotoError, atomic};
 use crate::render::{self, Context, Difference, Job, Numbers, Progress, RenderError, Stop};
 use crate::report::{RenderReport, Report, ReportError};
 
@@ -148,15 +148,11 @@ fn run_one(
 
     let prepared = match prepared {
         Some(prepared) => prepared,
-        none => none.insert(prepare(plan, &mut stopwatch, watch).map_err(RunError::Problems)?),
+        none => none.insert(prepare(plan, &mut stopwatch, context, watch)?),
     };
     for warning in plan.warnings.iter().chain(&prepared.warnings) {
         watch.warning(warning);
     }
-    if context.is_cancelled() {
-        return Err(RunError::Interrupted);
-    }
-
     stopwatch.begin("render", watch);
     let (difference, render) = render_shot(plan, prepared, files, context, watch)?;
 
@@ -171,13 +167,13 @@ fn run_one(
     })
 }
 
-/// A file in the way of the folder for the results is found before any work.
-fn check_folder(folder: &Path) -> Result<(), RunError> {
-    if folder.exists() && !folder.is_dir() {
-        let cause = std::io::ErrorKind::NotADirectory.into();
-        return Err(RunError::Folder { folder: folder.to_owned(), cause });
-    }
-    Ok(())
+/// A folder that cannot hold the results is found before any work; it need not exist yet.
+///
+/// # Errors
+/// [`RunError::Folder`].
+pub fn check_folder(folder: &Path) -> Result<(), RunError> {
+    atomic::check_folder(folder)
+        .map_err(|cause| RunError::Folder { folder: folder.to_owned(), cause })
 }
 
 /// Results must not take the place of what the shot is made from.
@@ -239,7 +235,6 @@ fn render_shot(
         least_step: plan.plate.least_step(),
     };
     let mut integrator = render::integrator(prepared.method, job)?;
-    make_folder(&files.folder)?;
     let mode = mode(plan).0;
     loop {
         let wave = integrator.next_wave(context);
@@ -247,15 +242,21 @@ fn render_shot(
         report.waves += 1;
         report.error = wave.error;
         watch.progress(wave.done, wave.error);
+        if wave.progress == Progress::Cancelled && wave.missing > 0 {
+            // Half a picture is none.
+            return Err(RunError::Interrupted);
+        }
         if wave.finished() {
             report.complete = wave.progress != Progress::Cancelled;
             report.outliers = wave.outliers;
+            report.missing = wave.missing;
             break;
         }
         if report.waves == 1 {
             write_first_picture(plan, &integrator.snapshot(), mode, files, watch)?;
         }
     }
+    make_folder(&files.folder)?;
     report.seconds = wall.elapsed().as_secs_f64();
     report.cpu_seconds = cpu_seconds().zip(cpu).map(|(now, start)| now - start);
     Ok((integrator.snapshot(), report))
@@ -269,6 +270,7 @@ fn write_first_picture(
     files: &OutFiles,
     watch: &dyn Watch,
 ) -> Result<(), RunError> {
+    make_folder(&files.folder)?;
     let composite = compose(&plan.plate, difference, mode).map_err(wrong_size)?;
     let encoded = write::encoded(&plan.plate, &composite, difference);
     let path = files.path("composite", "png");

@@ -1,0 +1,26 @@
+//! Ctrl-C: the first ends the work in order, the second at once.
+//!
+//! A first SIGINT or SIGTERM only raises the context's flag: files that are being written become
+//! whole, a render ends with what it has, and nothing new is begun. The second ends the program where
+//! it is, and may leave a temporary file (`.platelight-…`) behind.
+
+use signal_hook::consts::{SIGINT, SIGTERM};
+use signal_hook::flag;
+
+use crate::render::Context;
+
+/// What a shell shows of a program that the signal killed: 128 and its number.
+const EXIT_CODES: [(i32, i32); 2] = [(SIGINT, 130), (SIGTERM, 143)];
+
+/// Makes signals cancel `context`.
+///
+/// # Errors
+/// The system knows no such signals; they then end the program at once, as without this.
+pub fn cancel_on_signals(context: &Context) -> std::io::Result<()> {
+    for (signal, exit_code) in EXIT_CODES {
+        // In this order: the first signal finds the flag down and passes on to raise it.
+        flag::register_conditional_shutdown(signal, exit_code, context.flag())?;
+        flag::register(signal, context.flag())?;
+    }
+    Ok(())
+}
