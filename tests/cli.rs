@@ -1,11 +1,16 @@
 //! The program as a person meets it: help, exit codes, messages, and nothing written on an error.
 
+#[cfg(unix)]
+mod interrupted;
 mod program;
 mod tiny;
 
 use std::path::{Path, PathBuf};
 use std::process::Output;
 
+use platelight::conventions::Rgb;
+use platelight::photo::Image;
+use platelight::photo::exr_file::{self, ExrPicture, ExrSamples};
 use platelight::render::Context;
 use platelight::shot::ShotFile;
 use platelight::shot::run::{RunError, RunOptions, run_frames};
@@ -96,11 +101,107 @@ fn wrong_usage_is_exit_code_2() {
         &["check", "nowhere/shot.toml"],
         &["batch", "nowhere"],
         &["--threads", "0", "check", "nowhere"],
+        &["--threads", "10000", "check", "nowhere"],
         &["run", "nowhere", "--error", "-1"],
     ] {
         let output = platelight(arguments);
         assert_eq!(output.status.code(), Some(2), "{arguments:?}");
         assert!(output.stdout.is_empty() && !output.stderr.is_empty(), "{arguments:?}");
+    }
+}
+
+#[test]
+fn meshes_that_show_nothing_and_plates_without_a_picture_are_refused() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = |name: &str| folder.path().join(name);
+    let objects = "[[object]]\nfile = \"points.obj\"\n[[object]]\nfile = \"renamed.obj\"\n";
+    let shot = write_shot(folder.path(), Plate::Png8, objects);
+    std::fs::write(file("points.obj"), "v 0 0 0\nv 1 0 0\np 1 2\n").expect("points");
+    std::fs::write(file("renamed.obj"), b"glTF\x02\0\0\0\0\0\0\0").expect("a binary");
+    // Three channels of NaN.
+    let nan = Image::filled(tiny::WIDTH, tiny::HEIGHT, Rgb::splat(f32::NAN));
+    let channel = || ExrSamples::F32(nan.pixels().iter().map(|l| l.x).collect());
+    let mut picture =
+        ExrPicture { width: nan.width(), height: nan.height(), ..ExrPicture::default() };
+    for name in ["R", "G", "B"] {
+        picture.push(name, channel());
+    }
+    exr_file::write(&file("nan.exr"), &picture).expect("a plate");
+    let text_of = std::fs::read_to_string(&shot).expect("shot").replace("plate.png", "nan.exr");
+    std::fs::write(&shot, text_of).expect("shot");
+    let output = platelight(&["check", text(folder.path())]);
+    assert_eq!(output.status.code(), Some(2));
+    let said = stderr(&output);
+    for told in [
+        "object[0].file: ",
+        "holds no triangles",
+        "renamed.obj: its first bytes: it is a binary glTF file; name it .glb",
+        "nan.exr: every pixel is NaN or infinite",
+    ] {
+        assert!(said.contains(told), "{told} is not in:\n{said}");
+    }
+}
+
+#[test]
+fn a_lens_that_nobody_builds_and_text_of_another_encoding_are_refused_by_file() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let shot = write_shot(folder.path(), Plate::Png8, "");
+    let camera = folder.path().join("camera.json");
+    let good = std::fs::read_to_string(&camera).expect("camera.json");
+    let far = good.replace("\"fx\": 60.0", "\"fx\": 1e9").replace("\"fy\": 60.0", "\"fy\": 1e9");
+    assert_ne!(far, good);
+    std::fs::write(&camera, far).expect("camera.json");
+    let output = platelight(&["check", text(folder.path())]);
+    let said = stderr(&output);
+    assert_eq!(output.status.code(), Some(2), "{said}");
+    assert!(said.contains("camera.json") && said.contains("would span"), "{said}");
+
+    let units = std::fs::read_to_string(&shot).expect("shot");
+    let utf16: Vec<u8> =
+        [0xfeff].into_iter().chain(units.encode_utf16()).flat_map(u16::to_le_bytes).collect();
+    std::fs::write(&shot, utf16).expect("shot");
+    let said = stderr(&platelight(&["check", text(folder.path())]));
+    assert!(said.contains("shot.toml: it is UTF-16 text; save it as UTF-8"), "{said}");
+}
+
+#[test]
+fn a_name_that_ends_in_another_format_is_refused() {
+    for arguments in [
+        &["merge", "a.png", "b.png", "-o", "m.png"][..],
+        &["panorama", "a.hdr", "--angular", "-o", "p"],
+        &["preview", "a.exr", "-o", "p.jpg"],
+    ] {
+        let said = stderr(&platelight(arguments));
+        assert!(said.contains("must end in .") && said.contains("name it"), "{said}");
+    }
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn a_place_that_takes_no_files_is_told_before_anything_is_read() {
+    let folder = tempfile::tempdir().expect("a folder");
+    write_shot(folder.path(), Plate::Png8, "");
+    let shot = text(folder.path());
+    let there = folder.path().join("plate.png");
+    let (picture, file) = (text(&there), folder.path().join("plate.png/out"));
+    // No process makes files in /proc, whoever it is.
+    for arguments in [
+        &["run", shot, "--out", "/proc/out"][..],
+        &["run", shot, "--out", text(&file)],
+        &["batch", shot, "--out", "/proc/out"],
+        &["merge", "no.png", "no2.png", "-o", "/proc/a.exr"],
+        &["panorama", "no.hdr", "--angular", "-o", "/proc/a.exr"],
+        &["panorama", picture, "--lat-long", "-o", "a.exr", "--preview", "/proc/a.png"],
+        &["calibrate", picture, "--corners", "9x6", "--square-mm", "25", "-o", "/proc/a.json"],
+        &["preview", "no.png", "-o", "no/such/folder/a.png"],
+        &["targets", "checkerboard", "-o", "/proc/a.pdf"],
+    ] {
+        let output = platelight(arguments);
+        let said = stderr(&output);
+        assert_eq!(output.status.code(), Some(2), "{arguments:?}: {said}");
+        let told = ["/proc", "plate.png/out", "no/such/folder"];
+        assert!(told.iter().any(|place| said.contains(place)), "{arguments:?}: {said}");
+        assert!(!said.contains(".platelight-") && !said.contains("no.png: cannot"), "{said}");
     }
 }
 

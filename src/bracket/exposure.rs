@@ -107,6 +107,9 @@ pub fn parse_times(text: &str, photos: &[PathBuf]) -> Result<Vec<f64>, BracketEr
         .collect()
 }
 
+/// Shutter times that cameras have, s: flashes of a tenth of a microsecond to nights of eleven days.
+const TIMES_S: std::ops::RangeInclusive<f64> = 1e-7..=1e6;
+
 /// A time in seconds: `0.5`, `1/60`.
 pub fn parse_time(text: &str) -> Result<f64, BracketError> {
     let number = |t: &str| t.trim().parse::<f64>().ok();
@@ -114,8 +117,7 @@ pub fn parse_time(text: &str) -> Result<f64, BracketError> {
         Some((a, b)) => number(a).zip(number(b)).map(|(a, b)| a / b),
         None => number(text),
     };
-    time.filter(|t| t.is_finite() && *t > 0.0)
-        .ok_or_else(|| BracketError::BadTime { text: text.into() })
+    time.filter(|t| TIMES_S.contains(t)).ok_or_else(|| BracketError::BadTime { text: text.into() })
 }
 
 fn missing(facts: &Facts) -> String {
@@ -332,7 +334,7 @@ mod tests {
             let error = parse_times(bad, &photos).unwrap_err().to_string();
             assert!(error.contains(told) && error.contains(';'), "{bad:?}: {error}");
         }
-        for bad in ["1/0\n1", "a.jpg 1", "1\n2\n3", "x y\nz w", "-1\n1", "nan\n1"] {
+        for bad in ["1/0\n1", "a.jpg 1", "1\n2\n3", "x y\nz w", "-1\n1", "nan\n1", "1e300\n1"] {
             assert!(parse_times(bad, &photos).is_err(), "{bad:?}");
         }
     }

@@ -38,7 +38,7 @@ pub enum BracketError {
     BadExposure { path: PathBuf, exposure: f64 },
     #[error("{times} times for {photos} photographs; give one for each")]
     TimesCount { times: usize, photos: usize },
-    #[error("\"{text}\" is not a time in seconds; write 0.5 or 1/60")]
+    #[error("\"{text}\" is not a shutter time in seconds; write 0.5 or 1/60")]
     BadTime { text: String },
     #[error("{}: is not in the list of times; add a line with its name and time", path.display())]
     NotListed { path: PathBuf },

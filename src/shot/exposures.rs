@@ -29,11 +29,12 @@ pub fn plate_scale(
     relative: Option<f64>,
 ) -> Result<Scale, String> {
     if let Some(factor) = relative {
-        return Ok(Scale { factor, source: "plate.relative_exposure".to_owned() });
+        let source = "plate.relative_exposure".to_owned();
+        return possible(Scale { factor, source });
     }
     let facts = with_keys(&photo.facts, keys);
     match bracket::exposure::exposure(&facts) {
-        Some(factor) => Ok(Scale { factor, source: who_said(keys).to_owned() }),
+        Some(factor) => possible(Scale { factor, source: who_said(keys).to_owned() }),
         None => Err(format!(
             "plate.exposure: {}: {} not known; write exposure = {{ time_s = …, f_number = …, iso = … }} \
              or relative_exposure = … into [plate]",
@@ -41,6 +42,21 @@ pub fn plate_scale(
             missing(&facts)
         )),
     }
+}
+
+/// A scale that f32 pictures survive, their variances squared.
+///
+/// Between an hour at f/1 and ISO 100 000 and a flash of a microsecond at f/64 lie 17 powers of ten.
+fn possible(scale: Scale) -> Result<Scale, String> {
+    const SCALES: std::ops::RangeInclusive<f64> = 1e-12..=1e12;
+    if SCALES.contains(&scale.factor) {
+        return Ok(scale);
+    }
+    Err(format!(
+        "{}: the plate would hold {:e} times the probe's radiance; no two exposures are so far apart: \
+         correct it",
+        scale.source, scale.factor
+    ))
 }
 
 /// The exposures of a probe's photographs. `tied` is false if the plate's scale does not need them.
@@ -137,6 +153,17 @@ mod tests {
         let facts =
             Facts { exposure_s: time, f_number: Some(2.0), iso: Some(200.0), ..Facts::default() };
         Photo { facts, path: name.into(), ..Photo::from_linear(Image::filled(1, 1, Rgb::ONE)) }
+    }
+
+    #[test]
+    fn a_scale_that_no_two_exposures_have_is_refused() {
+        let photo = Photo::from_linear(Image::filled(1, 1, Rgb::ONE));
+        let scale = |relative| plate_scale(&photo, &ExposureKeys::default(), Some(relative));
+        assert!(scale(1e-9).is_ok() && scale(40.0).is_ok());
+        for far in [1e300, 1e38, 1e-45, 1e-300] {
+            let said = scale(far).unwrap_err();
+            assert!(said.contains("plate.relative_exposure"), "{said}");
+        }
     }
 
     #[test]

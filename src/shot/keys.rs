@@ -288,16 +288,40 @@ fn fixed<T, const N: usize>(values: impl Iterator<Item = Option<T>>) -> Option<[
     values.collect::<Option<Vec<T>>>()?.try_into().ok()
 }
 
+/// Longest value that a sentence shows, characters.
+const SHOWN: usize = 60;
+
 /// What a value is, for a sentence.
 fn kind(value: &DeValue) -> String {
     match value {
-        DeValue::String(text) => format!("the text \"{text}\""),
+        // `Debug` keeps a text of many lines on one.
+        DeValue::String(text) => format!("the text {}", shortened(&format!("{text:?}"))),
         DeValue::Integer(i) => format!("{i}"),
         DeValue::Float(f) => format!("{f}"),
         DeValue::Boolean(b) => format!("{b}"),
         DeValue::Datetime(_) => "a date".to_owned(),
-        DeValue::Array(array) => format!("a list of {}", array.len()),
+        DeValue::Array(array) => {
+            let values: Vec<String> = array.iter().take(SHOWN).map(|v| item(v.get_ref())).collect();
+            format!("{} values, {}", array.len(), shortened(&format!("[{}]", values.join(", "))))
+        }
         DeValue::Table(_) => "a table".to_owned(),
+    }
+}
+
+/// What a value of a list is: as it is written, without words around it.
+fn item(value: &DeValue) -> String {
+    match value {
+        DeValue::String(text) => format!("{text:?}"),
+        DeValue::Array(_) => "[…]".to_owned(),
+        DeValue::Table(_) => "{…}".to_owned(),
+        other => kind(other),
+    }
+}
+
+fn shortened(text: &str) -> String {
+    match text.char_indices().nth(SHOWN) {
+        None => text.to_owned(),
+        Some((end, _)) => format!("{}…", &text[..end]),
     }
 }
 
@@ -336,10 +360,25 @@ mod tests {
             found,
             [
                 "s.toml:1: error: expected a finite number, found the text \"x\"",
-                "s.toml:2: plate: expected 3 finite numbers in brackets, found a list of 2",
+                "s.toml:2: plate: expected 3 finite numbers in brackets, found 2 values, [1, 2]",
                 "s.toml:3: one: expected a finite number, found nan",
             ]
         );
+    }
+
+    #[test]
+    fn values_are_shown_on_one_line_and_not_whole_books() {
+        let long = "é".repeat(5000);
+        let text =
+            format!("error = \"\"\"\na\nb\"\"\"\nplate = [1, \"x\", [], {{}}]\none = \"{long}\"\n");
+        let found = problems(&text, |keys| {
+            keys.number("error");
+            keys.numbers::<4>("plate");
+            keys.number("one");
+        });
+        assert!(found[0].ends_with("found the text \"a\\nb\""), "{}", found[0]);
+        assert!(found[1].ends_with("found 4 values, [1, \"x\", […], {…}]"), "{}", found[1]);
+        assert!(found[2].ends_with('…') && found[2].chars().count() < 150, "{}", found[2]);
     }
 
     #[test]
