@@ -13,7 +13,8 @@ use glam::DVec3;
 use platelight::bracket::{Frame, MergeOptions, exposure, merge};
 use platelight::camera::{Camera, file};
 use platelight::photo::{self, ReadOptions};
-use platelight::probe::{self, Ball, clipped_regions, find, unwrap};
+use platelight::probe::photographed::{self, BallFacts};
+use platelight::probe::{self, clipped_regions, find, unwrap};
 use platelight::shot::camera_keys::CameraSource;
 use platelight::shot::probe_keys::ProbeSource;
 use platelight::shot::{ShotFile, exposures, locate, pictures};
@@ -60,13 +61,15 @@ fn main() -> Result<(), Box<dyn Error>> {
     }
 
     // Find the rim, then follow every ray into the ball.
-    let found = find::find(&merged.radiance.mean, &camera.lens, &find::Hints::default())?;
+    let facts = BallFacts {
+        radius: ball.radius,
+        reflectance: DVec3::from(ball.reflectance).as_vec3(),
+        at: Some(ball.at.into()),
+        support: Some(unwrap::Support { point: DVec3::ZERO, normal: DVec3::Y }),
+    };
+    let hints = find::Hints::default();
+    let (panorama, found) = photographed::ball(&merged.radiance, &camera, &facts, &hints, None)?;
     println!("ball: radius {:.1} ± {:.1} px", found.radius_px, found.sigma_px);
-    let mirror = Ball::new(ball.at.into(), ball.radius, DVec3::from(ball.reflectance).as_vec3())?;
-    let table = unwrap::Support { point: DVec3::ZERO, normal: DVec3::Y };
-    let texels = unwrap::natural_width(found.radius_px);
-    let panorama =
-        unwrap::unwrap_ball(&merged.radiance, &camera, &found.rim, &mirror, Some(&table), texels)?;
     println!("clipped lights: {}", clipped_regions(&panorama).len());
 
     let plate = read(&shot.plate.file)?;
@@ -74,7 +77,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     let scale = exposures::plate_scale(&plate, &keys.exposure, keys.relative_exposure)?.factor;
     let up = panorama.irradiance(DVec3::Y) * scale as f32;
     println!("irradiance of the ground: {up:.3} (plate's linear values)");
+    let (width, height) = (panorama.width(), panorama.height());
     probe::file::write(&args.out, &panorama.scaled(scale as f32))?;
-    println!("wrote {} ({texels} × {})", args.out.display(), texels / 2);
+    println!("wrote {} ({width} × {height})", args.out.display());
     Ok(())
 }

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use glam::{DMat3, DQuat, DVec2, DVec3, Vec3};
+use glam::{DQuat, DVec2, DVec3, Vec3};
 use serde::Serialize;
 
 use super::error::{check_ending, check_outputs};
@@ -16,11 +16,11 @@ use crate::photo::{
     self, Encoding, EncodingSource, Format, Image, Photo, Primaries, ReadOptions, Transfer, colour,
     png,
 };
-use crate::probe::find::{BallImage, Hints, find};
+use crate::probe::find::{BallImage, Hints};
 use crate::probe::fisheye::{Fisheye, Projection};
 use crate::probe::overlay::overlay;
-use crate::probe::resample::to_lat_long;
-use crate::probe::unwrap::{check_width, natural_width, unwrap_ball};
+use crate::probe::photographed::{self, BallFacts};
+use crate::probe::unwrap::check_width;
 use crate::probe::{Ball, Panorama, clipped_regions, file};
 
 /// Turn photographs of a mirror ball or fisheye, or any map of directions, into a lat-long panorama
@@ -51,7 +51,7 @@ pub struct Args {
     /// The lens (and pose): camera.json, OpenCV's YAML or COLMAP's cameras.txt
     #[arg(long, value_name = "FILE", conflicts_with = "focal_px", requires = "ball")]
     camera: Option<PathBuf>,
-    /// Focal length in pixels [default: EXIF's 35-mm equivalent, right only for uncropped photographs]
+    /// Focal length in pixels [default: the 35-mm equivalent of EXIF or of a merged EXR, right only for uncropped photographs]
     #[arg(long, value_name = "F", requires = "ball")]
     focal_px: Option<f64>,
     /// Share of light the ball reflects: one number or one for each of R,G,B
@@ -284,11 +284,8 @@ fn photographed(
     global.go_on()?;
     let (w, h) = (radiance.mean.width(), radiance.mean.height());
     if let Some(kind) = args.kind.fisheye {
-        let fisheye = fisheye(wishes, kind, w, h)?;
-        let reach = wishes.circle.map_or(w.min(h) as f64 / 2.0, |c| c[2]);
-        let width = args.width.unwrap_or_else(|| natural_width(reach));
-        let panorama = to_lat_long(&radiance, &fisheye, DMat3::IDENTITY, width);
-        let panorama = panorama.rotated(wishes.rotation);
+        let lens = fisheye(wishes, kind, w, h)?;
+        let panorama = photographed::fisheye(&radiance, &lens, wishes.rotation, args.width)?;
         return Ok(Photographed { panorama, ball: None, overlay: None });
     }
     let camera = ball_camera(args, &photos[0], w, h)?;
@@ -297,7 +294,13 @@ fn photographed(
         None => None,
     };
     let hints = Hints { circle_px: wishes.hint, clean_plate: plate.as_ref() };
-    let found = find(&radiance.mean, &camera.lens, &hints)?;
+    let facts = BallFacts {
+        radius: args.radius,
+        reflectance: wishes.reflectance.unwrap_or(Rgb::ONE),
+        at: None,
+        support: None,
+    };
+    let (panorama, found) = photographed::ball(&radiance, &camera, &facts, &hints, args.width)?;
     if found.score.is_none() {
         warnings.push(
             "the rim could not be measured; the hint was taken as it is (1 % of its radius is \
@@ -320,12 +323,6 @@ fn photographed(
                 .into(),
         );
     }
-    let reflectance = wishes.reflectance.unwrap_or(Rgb::ONE);
-    let distance = args.radius / found.rim.half_angle_rad.sin();
-    let centre = camera.pose.position() + camera.pose.rotation() * found.rim.axis * distance;
-    let ball = Ball::new(centre, args.radius, reflectance)?;
-    let width = args.width.unwrap_or_else(|| natural_width(found.radius_px));
-    let panorama = unwrap_ball(&radiance, &camera, &found.rim, &ball, None, width)?;
     let panorama = panorama.rotated(wishes.rotation);
     Ok(Photographed { panorama, ball: Some(found), overlay: drawn })
 }
@@ -398,7 +395,7 @@ fn ball_camera(args: &Args, photo: &Photo, w: usize, h: usize) -> Result<Camera,
     let focal = focal.ok_or_else(|| {
         let path = photo.path.display();
         CliError::wrong(format!(
-            "{path}: no focal length in EXIF; give --camera camera.json or --focal-px (focal length \
+            "{path}: no focal length in its EXIF or header; give --camera camera.json or --focal-px (focal length \
              in mm / sensor width in mm × picture width in px)"
         ))
     })?;

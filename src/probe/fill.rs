@@ -14,17 +14,24 @@ use crate::photo::Image;
 
 /// More border texels than this are thinned out evenly.
 const MAX_BORDER: usize = 1024;
+/// Gaps with more pairs of a texel and a border texel than this are filled at every [`STEP`]-th texel of
+/// every such row and smoothly between: half a sphere of 4096 × 2048 texels took a minute.
+const MAX_PAIRS: usize = 1 << 30;
+/// About 0.7° at the width where it is needed.
+const STEP: usize = 8;
 
 /// Fills the texels marked in `gap`, each connected gap from its own border.
 pub fn from_around(panorama: &mut Panorama, gap: &Image<bool>) {
     for region in regions(gap) {
         let border = border(panorama, gap, &region);
-        let filled: Vec<(Rgb, Rgb)> = region
-            .par_iter()
-            .map(|&index| {
-                blend(&border, panorama.direction(index % gap.width(), index / gap.width()))
-            })
-            .collect();
+        let filled: Vec<(Rgb, Rgb)> = if region.len() * border.len() <= MAX_PAIRS {
+            let at =
+                |&i: &usize| blend(&border, panorama.direction(i % gap.width(), i / gap.width()));
+            region.par_iter().map(at).collect()
+        } else {
+            let lattice = Lattice::new(panorama, gap, &border);
+            region.par_iter().map(|&i| lattice.at(i % gap.width(), i / gap.width())).collect()
+        };
         for (&index, (radiance, variance)) in region.iter().zip(&filled) {
             panorama.radiance.pixels_mut()[index] = *radiance;
             panorama.variance.pixels_mut()[index] = *variance;
@@ -98,6 +105,48 @@ fn border(panorama: &Panorama, gap: &Image<bool>, region: &[usize]) -> Vec<Borde
         .collect()
 }
 
+/// Fill values at every [`STEP`]-th texel; outside the gap the panorama's own.
+struct Lattice {
+    columns: usize,
+    width: usize,
+    height: usize,
+    nodes: Vec<(Rgb, Rgb)>,
+}
+
+impl Lattice {
+    fn new(panorama: &Panorama, gap: &Image<bool>, border: &[BorderTexel]) -> Self {
+        let (width, height) = (gap.width(), gap.height());
+        let columns = width.div_ceil(STEP);
+        // One row more, on the last texels, so that the lower pole has nodes of its own.
+        let rows = (height - 1).div_ceil(STEP) + 1;
+        let node = |k: usize| {
+            let (x, y) = (k % columns * STEP, (k / columns * STEP).min(height - 1));
+            match gap[(x, y)] {
+                true => blend(border, panorama.direction(x, y)),
+                false => (panorama.radiance[(x, y)], panorama.variance[(x, y)]),
+            }
+        };
+        let nodes = (0..columns * rows).into_par_iter().map(node).collect();
+        Self { columns, width, height, nodes }
+    }
+
+    /// Between the four nodes around a texel; columns wrap.
+    fn at(&self, x: usize, y: usize) -> (Rgb, Rgb) {
+        let (i, j) = (x / STEP, y / STEP);
+        let part =
+            |at: usize, from: usize, to: usize| (at - from) as f32 / (to - from).max(1) as f32;
+        let u = part(x, i * STEP, ((i + 1) * STEP).min(self.width));
+        let v = part(y, j * STEP, ((j + 1) * STEP).min(self.height - 1));
+        let below = if j * STEP == self.height - 1 { j } else { j + 1 };
+        let node = |i: usize, j: usize| self.nodes[j * self.columns + i % self.columns];
+        let mix = |of: fn((Rgb, Rgb)) -> Rgb| {
+            let across = |j: usize| of(node(i, j)).lerp(of(node(i + 1, j)), u);
+            across(j).lerp(across(below), v)
+        };
+        (mix(|(radiance, _)| radiance), mix(|(_, variance)| variance))
+    }
+}
+
 /// Weighed mean of the border as seen from `direction`, and the border's weighed variance.
 fn blend(border: &[BorderTexel], direction: DVec3) -> (Rgb, Rgb) {
     let (mut sum, mut squares, mut total) = (DVec3::ZERO, DVec3::ZERO, 0.0);
@@ -156,6 +205,30 @@ mod tests {
         assert_eq!(regions(&gap).len(), 1);
         let all = Image::filled(8, 4, true);
         assert_eq!(regions(&all), vec![(0..32).collect::<Vec<_>>()]);
+    }
+
+    #[test]
+    fn a_lattice_gives_what_every_texel_for_itself_would() {
+        // Neither width nor height is a multiple of the step.
+        let mut panorama = Panorama::from_radiance(Image::filled(522, 261, Rgb::ZERO));
+        let mut gap = Image::filled(522, 261, false);
+        for y in 0..261 {
+            for x in 0..522 {
+                let d = panorama.direction(x, y);
+                gap[(x, y)] = d.y < 0.1;
+                panorama.radiance[(x, y)] = (d + 2.0).as_vec3();
+            }
+        }
+        let region = &regions(&gap)[0];
+        let border = border(&panorama, &gap, region);
+        let lattice = Lattice::new(&panorama, &gap, &border);
+        for &i in region {
+            let (x, y) = (i % 522, i / 522);
+            let exact = blend(&border, panorama.direction(x, y)).0;
+            let off = (lattice.at(x, y).0 - exact).abs().max_element();
+            // The light itself differs by 0.012 from texel to texel, eight of which are a step.
+            assert!(off < 0.02, "({x}, {y}) is {off} off");
+        }
     }
 
     #[test]

@@ -113,6 +113,11 @@ impl Fisheye {
         let centre = DVec2::new(width as f64 - 1.0, height as f64 - 1.0) / 2.0;
         Self::new(projection, fov_deg, centre, width.min(height) as f64 / 2.0)
     }
+
+    /// Radius of the image circle.
+    pub fn radius_px(&self) -> f64 {
+        self.focal_px * self.projection.radius(self.edge_rad)
+    }
 }
 
 impl Mapping for Fisheye {

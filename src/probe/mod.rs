@@ -4,7 +4,7 @@
 //! A mirror ball goes through [`find`] (where is the ball?), [`rim`] (its tangent cone),
 //! [`ball`] (exact reflection at finite distance) and [`unwrap`]; fisheyes, angular maps and
 //! lat-long pictures are [`mapping::Mapping`]s; all of them meet in [`resample`].
-//! Start with [`Panorama`] and [`unwrap::unwrap_ball`]. This room never lights anything, never
+//! Start with [`Panorama`] and [`photographed`]. This room never lights anything, never
 //! merges a bracket, and never takes the direction to a ball from anything but its rim.
 
 pub mod ball;
@@ -18,6 +18,7 @@ pub mod fisheye;
 pub mod mapping;
 pub mod overlay;
 pub mod panorama;
+pub mod photographed;
 pub mod resample;
 pub mod rim;
 pub mod unwrap;

@@ -7,7 +7,7 @@ use std::path::Path;
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
 use super::text::per_cent;
-use super::{Picture, Report, ReportError};
+use super::{Picture, Report, ReportError, photographs};
 
 const STYLE: &str = "
 body{font:15px/1.5 system-ui,sans-serif;max-width:1100px;margin:2rem auto;padding:0 1rem;color:#222;background:#fafafa}
@@ -134,7 +134,7 @@ fn camera(report: &Report) -> Markup {
         ]))
         @if !c.views.is_empty() {
             details {
-                summary { (c.views.len()) " photographs" }
+                summary { (photographs(c.views.len())) }
                 table {
                     @for view in &c.views {
                         tr {

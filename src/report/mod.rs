@@ -288,6 +288,11 @@ pub fn write_json(path: &Path, report: &Report) -> Result<(), ReportError> {
     crate::photo::atomic::write(path, |file| file.write_all(&json)).map_err(error)
 }
 
+/// "1 photograph", "14 photographs".
+pub fn photographs(n: usize) -> String {
+    if n == 1 { "1 photograph".to_owned() } else { format!("{n} photographs") }
+}
+
 /// Azimuth (from +Z toward +X) and elevation (above the horizon) of a direction, degrees.
 pub fn azimuth_elevation(direction: glam::DVec3) -> (f64, f64) {
     let azimuth = direction.x.atan2(direction.z).to_degrees();

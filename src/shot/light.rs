@@ -2,7 +2,7 @@
 
 use std::f64::consts::PI;
 
-use glam::{DMat3, DVec2, DVec3};
+use glam::{DVec2, DVec3};
 
 use super::exposures::Scale;
 use super::place;
@@ -18,13 +18,14 @@ use crate::light::clipped::{self, RecoverError, Stage};
 use crate::light::{Disc, LightOptions, Lights, SunSplit, take_out};
 use crate::photo::{Image, ReadOptions};
 use crate::probe::file::{self, Layout, rotation_xyz_deg};
-use crate::probe::find::BallImage;
+use crate::probe::find::{self, BallImage};
 use crate::probe::fisheye::{self, Projection};
-use crate::probe::resample::to_lat_long;
-use crate::probe::unwrap::{Support, natural_width, unwrap_ball};
-use crate::probe::{Ball, ClippedRegion, Panorama, Rim, clipped_regions, find};
+use crate::probe::photographed::{self, BallFacts};
+use crate::probe::unwrap::Support;
+use crate::probe::{Ball, ClippedRegion, Panorama, Rim, clipped_regions};
 use crate::report::{
     ClippedReport, LightsReport, ProbeReport, SunReport, Treatment, Warning, azimuth_elevation,
+    photographs,
 };
 use crate::scene::Scene;
 use crate::trace::Accel;
@@ -52,6 +53,9 @@ pub struct Unwrapped {
     report: ProbeReport,
     warnings: Vec<Warning>,
 }
+
+/// Filled directions with less than this share of the light on level ground are no matter for a warning.
+const GUESSED_SHARE: f32 = 0.05;
 
 /// A clipped region with less than this share of the light changes nothing that can be seen.
 const NEGLIGIBLE_SHARE: f64 = 1e-3;
@@ -89,15 +93,25 @@ fn unwrap_the_ball(
     camera: Camera,
 ) -> Result<Unwrapped, String> {
     let hints = find::Hints { circle_px: keys.hint_px, clean_plate: clean_plate(plan, keys) };
-    let found = find::find(&radiance.mean, &camera.lens, &hints).map_err(|e| e.to_string())?;
     let reflectance = DVec3::from(keys.reflectance).as_vec3();
+    // Judged before the ball is looked for, which takes longer.
     let ball = Ball::new(keys.at.into(), keys.radius, reflectance).map_err(|e| e.to_string())?;
-    let support =
-        place::support_plane(plan, ball.centre).map(|(point, normal)| Support { point, normal });
-
-    let width = natural_width(found.radius_px);
-    let panorama = unwrap_ball(&radiance, &camera, &found.rim, &ball, support.as_ref(), width)
-        .map_err(|e| e.to_string())?;
+    let facts = BallFacts {
+        radius: keys.radius,
+        reflectance,
+        at: Some(ball.centre),
+        support: place::support_plane(plan, ball.centre)
+            .map(|(point, normal)| Support { point, normal }),
+    };
+    let (panorama, found) =
+        photographed::ball(&radiance, &camera, &facts, &hints, None).map_err(|e| e.to_string())?;
+    if found.score.is_none() {
+        warnings.push(Warning::new(
+            "probe.ball.hint_px",
+            "the ball's rim could not be measured; the hint is taken as it is: look at the overlay",
+            "directions off by 1 % of the ball's radius, if the hint is good to that",
+        ));
+    }
     if let Some([u, v, r]) = found.rival_px {
         warnings.push(Warning::new(
             "probe.ball",
@@ -110,7 +124,7 @@ fn unwrap_the_ball(
     }
     warnings.extend(found.disagreement_px(&camera, &ball).and_then(|off| misplaced(off, &found)));
     let report = ProbeReport {
-        source: format!("mirror ball, {} photographs", plan.probe_photos.len()),
+        source: format!("mirror ball, {}", photographs(plan.probe_photos.len())),
         ball_px: Some([found.centre_px.x, found.centre_px.y, found.radius_px]),
         sigma_ball_px: Some(found.sigma_px),
         sigma_direction_deg: Some(found.rim.sigma_direction_rad().to_degrees()),
@@ -151,7 +165,7 @@ fn clean_plate<'a>(plan: &'a Plan, keys: &BallKeys) -> Option<&'a Image<Rgb>> {
 fn unwrap_fisheye(
     plan: &Plan,
     keys: &Fisheye,
-    (radiance, warnings): (Radiance, Vec<Warning>),
+    (radiance, mut warnings): (Radiance, Vec<Warning>),
 ) -> Result<Unwrapped, String> {
     let (w, h) = (radiance.mean.width() as f64, radiance.mean.height() as f64);
     let [cx, cy, radius_px] =
@@ -162,15 +176,37 @@ fn unwrap_fisheye(
     };
     let fisheye = fisheye::Fisheye::new(projection, keys.fov_deg, DVec2::new(cx, cy), radius_px)
         .map_err(|error| error.to_string())?;
-    let camera_from_world = DMat3::from_quat(rotation_xyz_deg(keys.rotation).inverse());
     let mut panorama =
-        to_lat_long(&radiance, &fisheye, camera_from_world, natural_width(radius_px));
+        photographed::fisheye(&radiance, &fisheye, rotation_xyz_deg(keys.rotation), None)
+            .map_err(|error| error.to_string())?;
     panorama.place = keys.at.into();
+    warnings.extend(unseen_warning(&panorama));
     let report = ProbeReport {
-        source: format!("fisheye, {} photographs", plan.probe_photos.len()),
+        source: format!("fisheye, {}", photographs(plan.probe_photos.len())),
         ..ProbeReport::default()
     };
     Ok(Unwrapped { panorama, ball: None, report, warnings })
+}
+
+/// Light from above the horizon that a fisheye did not see is guessed from its edge.
+fn unseen_warning(panorama: &Panorama) -> Option<Warning> {
+    let all = luminance(panorama.irradiance(DVec3::Y));
+    let mut seen = panorama.clone();
+    for (l, coverage) in seen.radiance.pixels_mut().iter_mut().zip(panorama.coverage.pixels()) {
+        if *coverage < 0.5 {
+            *l = Rgb::ZERO;
+        }
+    }
+    let guessed = 1.0 - luminance(seen.irradiance(DVec3::Y)) / all.max(f32::MIN_POSITIVE);
+    (guessed > GUESSED_SHARE).then(|| {
+        Warning::new(
+            "probe.fisheye",
+            "part of the upper hemisphere was not seen and is filled from the edge of the image circle; \
+             point the lens up (rotation = [90, 0, 0]), or merge views in another program and give the \
+             panorama",
+            format!("{:.0} % of the light on level ground", 100.0 * guessed),
+        )
+    })
 }
 
 fn take_panorama(keys: &PanoramaKeys) -> Result<Unwrapped, String> {
