@@ -29,6 +29,9 @@ pub fn luminance(l: Rgb) -> f32 {
 /// Half the angle under which the sun is seen from the Earth at its mean distance, radians.
 pub const SUN_HALF_ANGLE_RAD: f64 = 0.266_5 * PI / 180.0;
 
+/// Diagonal of the 36 × 24 mm frame, by which 35-mm equivalents of focal lengths go (CIPA DC-008).
+pub const FULL_FRAME_DIAGONAL_MM: f64 = 43.266_615_305_567_87;
+
 /// Direction (unit, world axes) of the point `pixel` of a `width` × `height` lat-long picture.
 ///
 /// `pixel` is in pixel coordinates: texel (i, j) has its centre at (i, j). The centre column is

@@ -9,7 +9,8 @@ use super::{BracketError, Merged, Radiance, Validity};
 use crate::conventions::Rgb;
 use crate::photo::exr_file::{self, ExrAttributes, ExrPicture, ExrSamples, LINEAR_REC709};
 use crate::photo::{
-    Format, Image, NonFinite, Photo, PhotoError, ReadOptions, read as read_picture, read_layer,
+    Facts, Format, Image, NonFinite, Photo, PhotoError, ReadOptions, read as read_picture,
+    read_layer,
 };
 
 /// Writes a merged bracket; its exposures and noise go into the file's `comments` as JSON.
@@ -30,6 +31,11 @@ pub fn write(path: &Path, merged: &Merged) -> Result<(), PhotoError> {
         attributes: ExrAttributes {
             comments: Some(comments.to_string()),
             colour_id: Some(LINEAR_REC709),
+            facts: Some(Facts {
+                focal_mm: merged.focal_mm[0],
+                focal_35mm: merged.focal_mm[1],
+                ..Facts::default()
+            }),
             ..ExrAttributes::default()
         },
     };
@@ -159,6 +165,8 @@ mod tests {
         let scene = Image::from_fn(40, 30, |x, y| Rgb::new(x as f32, y as f32, 0.5) / 50.0);
         let mut photo = Photo::from_linear(scene);
         photo.clipped[(7, 3)] = true;
+        photo.facts.focal_mm = Some(35.0);
+        photo.facts.focal_35mm = Some(52.5);
         let frames = [Frame { photo: &photo, exposure: 1e-6 }];
         let merged = merge(&frames, &MergeOptions::default()).unwrap();
         let folder = tempfile::tempdir().unwrap();
@@ -169,6 +177,11 @@ mod tests {
         assert_eq!(back.variance, merged.radiance.variance);
         assert_eq!(back.validity, merged.radiance.validity);
         assert_eq!(back.validity[(7, 3)], Validity::LowerBound);
+        // The lens, which a ball's panorama needs; the exposure is divided out and not told.
+        let facts = read_picture(&path, &ReadOptions::default()).unwrap().facts;
+        assert_eq!(facts.focal_mm, Some(35.0));
+        assert!((facts.focal_35mm.unwrap() / 52.5 - 1.0).abs() < 1e-6, "{facts:?}");
+        assert_eq!(facts.exposure_s, None);
         // A class this program does not know is no class at all.
         for odd in [7.0, 1.5, -1.0, f32::NAN] {
             assert_eq!(class(odd), None, "{odd}");

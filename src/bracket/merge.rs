@@ -75,6 +75,8 @@ pub struct Merged {
     pub warnings: Vec<Warning>,
     /// The frames' paths, in the order given.
     pub paths: Vec<PathBuf>,
+    /// Focal lengths in mm, the lens's and the 35-mm equivalent, where all frames agree on them.
+    pub focal_mm: [Option<f64>; 2],
 }
 
 /// Linear value, about one code of 8 bits, below which a frame is left out (methods-capture C3).
@@ -85,6 +87,12 @@ const JPEG_BLEED_PX: usize = 2;
 const SMALLEST_SHIFT_PX: f64 = 0.25;
 /// A shift must lower the residual at least to this share to be believed.
 const WORTH_SHIFTING: f64 = 0.9;
+
+/// What all frames say, if they say the same.
+fn agreed(frames: &[Frame], fact: impl Fn(&Photo) -> Option<f64>) -> Option<f64> {
+    let first = fact(frames.first()?.photo)?;
+    frames.iter().all(|frame| fact(frame.photo) == Some(first)).then_some(first)
+}
 
 /// Merges the frames of a bracket.
 ///
@@ -172,6 +180,10 @@ pub fn merge(frames: &[Frame], options: &MergeOptions) -> Result<Merged, Bracket
         response,
         warnings,
         paths: frames.iter().map(|f| f.photo.path.clone()).collect(),
+        focal_mm: [
+            agreed(frames, |photo| photo.facts.focal_mm),
+            agreed(frames, |photo| photo.facts.focal_35mm),
+        ],
     })
 }
 

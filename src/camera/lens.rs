@@ -9,7 +9,7 @@
 
 use glam::{DMat2, DVec2, DVec3};
 
-use crate::conventions::OPENCV_FROM_CAMERA;
+use crate::conventions::{FULL_FRAME_DIAGONAL_MM, OPENCV_FROM_CAMERA};
 
 /// A lens: focal lengths and principal point in pixels, and its distortion (OpenCV's formulas).
 #[derive(Clone, Debug, PartialEq)]
@@ -425,9 +425,8 @@ pub fn focal_px(focal_mm: f64, sensor_width_mm: f64, width: usize) -> Option<f64
         .filter(|_| focal_mm > 0.0 && sensor_width_mm > 0.0)
 }
 
-/// Focal length in pixels from the 35-mm equivalent, by the diagonal (CIPA DC-008; 43.267 mm).
+/// Focal length in pixels from the 35-mm equivalent, by the diagonal ([`FULL_FRAME_DIAGONAL_MM`]).
 pub fn focal_px_from_35mm(focal_35mm: f64, width: usize, height: usize) -> Option<f64> {
-    const FULL_FRAME_DIAGONAL_MM: f64 = 43.266_615_305_567_87;
     positive(focal_35mm * (width as f64).hypot(height as f64) / FULL_FRAME_DIAGONAL_MM)
 }
 

@@ -2,8 +2,8 @@
 //!
 //! [`ExrPicture`] → file. Channels are sorted as the format demands; a layer is the text before a
 //! channel name's last dot. The same picture gives the same bytes on any number of threads: chunks
-//! are compressed in order and there is at most one attribute outside the crate's own list (those
-//! live in a randomly seeded map). Lossy compressions are never written.
+//! are compressed in order and there is at most one attribute outside the crate's own list in each of
+//! the header's two parts (those live in randomly seeded maps). Lossy compressions are never written.
 
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
@@ -22,6 +22,7 @@ use rayon::prelude::*;
 
 use super::error::MAX_SIDE;
 use super::{Facts, PhotoError, Primaries, atomic};
+use crate::conventions::FULL_FRAME_DIAGONAL_MM;
 
 /// A picture to be written as EXR.
 #[derive(Clone, Debug, Default)]
@@ -60,7 +61,8 @@ pub struct ExrAttributes {
     pub lat_long: bool,
     /// `worldToCamera`: OpenEXR's left-handed camera (+Z into the scene), row vectors.
     pub world_to_camera: Option<[f32; 16]>,
-    /// `expTime`, `aperture`, `isoSpeed` from these facts.
+    /// `expTime`, `aperture`, `isoSpeed`, `nominalFocalLength` (mm) and `fieldOfViewHorizontal` (°, from
+    /// the 35-mm equivalent) from these facts.
     pub facts: Option<Facts>,
 }
 
@@ -183,7 +185,7 @@ fn header(path: &Path, picture: &ExrPicture) -> Result<Header, PhotoError> {
         LineOrder::Increasing,
     );
     header.shared_attributes = shared_attributes(picture);
-    header.own_attributes = own_attributes(&picture.attributes);
+    header.own_attributes = own_attributes(picture);
     Ok(header)
 }
 
@@ -204,10 +206,17 @@ fn shared_attributes(picture: &ExrPicture) -> ImageAttributes {
             white: Vec2(wx, wy),
         }
     });
+    let focal_mm = picture.attributes.facts.as_ref().and_then(|facts| facts.focal_mm);
+    if let Some(focal_mm) = focal_mm {
+        // Among the shared ones because `colorInteropID` is among the others: one in each map.
+        let value = AttributeValue::F32(focal_mm as f32);
+        shared.other.insert("nominalFocalLength".into(), value);
+    }
     shared
 }
 
-fn own_attributes(attributes: &ExrAttributes) -> LayerAttributes {
+fn own_attributes(picture: &ExrPicture) -> LayerAttributes {
+    let attributes = &picture.attributes;
     let mut own = LayerAttributes {
         software_name: Some(concat!("platelight ", env!("CARGO_PKG_VERSION")).into()),
         comments: attributes.comments.as_deref().map(ascii),
@@ -219,11 +228,20 @@ fn own_attributes(attributes: &ExrAttributes) -> LayerAttributes {
         own.exposure = facts.exposure_s.map(|v| v as f32);
         own.aperture = facts.f_number.map(|v| v as f32);
         own.iso_speed = facts.iso.map(|v| v as f32);
+        own.horizontal_field_of_view = facts.focal_35mm.map(|focal| {
+            let focal_per_width = focal / FULL_FRAME_DIAGONAL_MM * diagonal_per_width(picture);
+            (2.0 * (0.5 / focal_per_width).atan().to_degrees()) as f32
+        });
     }
     if let Some(id) = attributes.colour_id {
         own.other.insert("colorInteropID".into(), AttributeValue::Text(id.into()));
     }
     own
+}
+
+/// The picture's diagonal ÷ its width.
+fn diagonal_per_width(picture: &ExrPicture) -> f64 {
+    1f64.hypot(picture.height as f64 / picture.width as f64)
 }
 
 /// EXR strings have no encoding: what is not ASCII is written as JSON writes it, `\uXXXX`.

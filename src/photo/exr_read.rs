@@ -25,6 +25,7 @@ use super::{
     Decoded, Encoding, EncodingSource, Facts, Part, PhotoError, Primaries, ReadOptions, Samples,
     Transfer,
 };
+use crate::conventions::FULL_FRAME_DIAGONAL_MM;
 
 const FORMAT: &str = "EXR";
 
@@ -417,7 +418,10 @@ fn encoding(path: &Path, header: &Header) -> Result<Encoding, PhotoError> {
 
 fn facts(header: &Header) -> Facts {
     let own = &header.own_attributes;
-    let other = |name: &str| own.other.get(&exr::meta::attribute::Text::from(name));
+    let other = |name: &str| {
+        let name = exr::meta::attribute::Text::from(name);
+        own.other.get(&name).or_else(|| header.shared_attributes.other.get(&name))
+    };
     let text = |name| match other(name) {
         Some(AttributeValue::Text(text)) => Some(text.to_string()),
         _ => None,
@@ -432,12 +436,21 @@ fn facts(header: &Header) -> Facts {
         f_number: positive_attribute(own.aperture),
         iso: positive_attribute(own.iso_speed),
         focal_mm: number("pinholeFocalLength").or_else(|| number("nominalFocalLength")),
-        focal_35mm: None,
+        focal_35mm: positive_attribute(own.horizontal_field_of_view)
+            .and_then(|fov| focal_35mm(fov, header.shared_attributes.display_window.size)),
         orientation: 1,
         make: text("cameraMake"),
         model: text("cameraModel"),
         lens_model: text("lensModel"),
     }
+}
+
+/// The 35-mm equivalent, by the diagonal, of a picture that is `fov_deg` wide.
+fn focal_35mm(fov_deg: f64, size: Vec2<usize>) -> Option<f64> {
+    let (w, h) = (size.width() as f64, size.height() as f64);
+    let focal_per_width = 0.5 / (0.5 * fov_deg.to_radians()).tan();
+    let focal = focal_per_width * FULL_FRAME_DIAGONAL_MM * w / w.hypot(h);
+    (fov_deg < 180.0 && focal.is_finite()).then_some(focal)
 }
 
 fn positive(value: f32) -> Option<f64> {
