@@ -76,11 +76,13 @@ pub fn finish(
     let mut warnings = [&plan.warnings[..], &prepared.warnings[..]].concat();
     let n_told = warnings.len();
     warnings.extend(composite_warnings(&composite, encoded.clamped));
-    if composite.tally.changed == 0 && !plan.objects.is_empty() {
+    // An object that no pixel shows was told of before; here is one that shows and changes nothing.
+    let told = warnings.iter().any(|warning| warning.about.starts_with("object["));
+    if composite.tally.changed == 0 && !plan.objects.is_empty() && !told {
         warnings.push(Warning::new(
             "object",
-            "no object changes a pixel: they are behind the camera, outside the picture, under the \
-             support or too small; check at, scale and the support's overlay",
+            "no object changes a pixel, though all stand in the picture: look at their materials and \
+             at the panorama",
             "the result is the plate itself",
         ));
     }

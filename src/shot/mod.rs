@@ -21,6 +21,7 @@ pub mod near_field;
 pub mod overlays;
 pub mod pictures;
 pub mod place;
+mod placing;
 pub mod plan;
 pub mod prepare;
 pub mod probe_keys;

@@ -11,6 +11,7 @@ use super::light::{self, Light, Surroundings};
 use super::locate::{FoundPose, Seen, find_pose};
 use super::near_field;
 use super::place;
+use super::placing;
 use super::plan::Plan;
 use super::probe_keys::{Ball, ProbeSource};
 use super::run::RunError;
@@ -110,6 +111,7 @@ pub fn prepare(
     warnings.extend(light.warnings.iter().cloned());
     warnings.extend(lost_triangles_warning(&scene));
     warnings.extend(unseen::warning(&scene, &camera));
+    warnings.extend(placing::warnings(plan, &scene, &camera));
     let reach = reach(plan, light.panorama.place);
     let near =
         near_field::warnings(shot.surroundings.as_ref(), &shot.lamps, light.panorama.place, reach);
@@ -149,7 +151,7 @@ fn one(problem: String) -> RunError {
 }
 
 /// The renderer's methods by their names in the shot file.
-const METHODS: [(&str, Method); 4] = [
+pub(super) const METHODS: [(&str, Method); 4] = [
     ("auto", Method::Coupled),
     ("coupled", Method::Coupled),
     ("two-pass", Method::TwoPass { same_numbers: true }),
