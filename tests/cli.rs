@@ -248,6 +248,30 @@ fn missing_files_are_told_together_and_nothing_is_written() {
 }
 
 #[test]
+fn wrong_keys_and_missing_files_are_told_together() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let objects = "[[object]]\nfile = \"robot.glb\"\nscael = 2\n";
+    let shot = write_shot(folder.path(), Plate::Png8, objects);
+    std::fs::remove_file(folder.path().join("panorama.exr")).expect("it was written");
+    let line = |key: &str| {
+        let text = std::fs::read_to_string(&shot).expect("shot");
+        1 + text.lines().position(|line| line.contains(key)).expect("a line")
+    };
+    for command in ["check", "run"] {
+        let said = stderr(&platelight(&[command, text(folder.path())]));
+        for expected in [
+            "object[0].scael: unknown key; did you mean `object[0].scale`?".to_owned(),
+            format!("shot.toml:{}: object[0].file: ", line("robot.glb")),
+            format!("shot.toml:{}: probe.panorama.file: ", line("panorama.exr")),
+        ] {
+            assert!(said.contains(&expected), "{expected} is not in: {said}");
+        }
+        assert!(!said.contains("plate.png"), "{said}");
+        assert_eq!(said.matches("does not exist").count(), 2, "{said}");
+    }
+}
+
+#[test]
 fn a_plate_that_stands_for_several_files_is_refused_with_their_names() {
     let folder = tempfile::tempdir().expect("a folder");
     let shot = write_shot(folder.path(), Plate::Png8, "");

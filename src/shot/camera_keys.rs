@@ -147,9 +147,10 @@ impl CameraSource {
                 let board = keys.table("board", Board::KEYS);
                 let board = keys.need("board", board, "describe the board in the photographs");
                 let board = board.and_then(|board| Board::read(&board));
-                Some(Self::Boards { photos: folder.join(keys.text("boards")?), board: board? })
+                let photos = keys.file("boards", folder);
+                Some(Self::Boards { photos: photos?, board: board? })
             }
-            "file" => Some(Self::File(folder.join(keys.text("file")?))),
+            "file" => Some(Self::File(keys.file("file", folder)?)),
             "focal_mm" => Some(Self::Focal {
                 focal_mm: keys.positive("focal_mm")?,
                 sensor_mm: keys.positive("sensor_mm"),
@@ -245,12 +246,13 @@ impl PoseSource {
                 let rectangle = keys.table("rectangle", RectanglePose::KEYS)?;
                 RectanglePose::read(&rectangle).map(Self::Rectangle)
             }
-            "file" => Some(Self::File(folder.join(keys.text("file")?))),
+            "file" => Some(Self::File(keys.file("file", folder)?)),
             _ => {
                 keys.problem(
                     "vanishing",
-                    "this version cannot find a pose from vanishing points; \
-                     use tag, board, rectangle or file",
+                    "this version cannot find a pose from vanishing points or edges; mark the four \
+                     corners of a rectangle of known size that the plate shows (a door, a tile, a sheet \
+                     of paper): rectangle = { corners_px = [[u, v], …], size = [width, height], at = […] }",
                 );
                 None
             }
@@ -280,14 +282,17 @@ impl TagPose {
     const KEYS: &[&str] = &["photo", "family", "id", "size_mm", "at", "facing", "up"];
 
     fn read(keys: &Keys, folder: &Path) -> Option<Self> {
-        let photo =
-            keys.need("photo", keys.text("photo"), "name the photograph that shows the tag");
+        let photo = keys.need(
+            "photo",
+            keys.file("photo", folder),
+            "name the photograph that shows the tag",
+        );
         let family = keys.choice("family", &FAMILIES.map(|name| (name, name)));
         let id = keys.need("id", keys.count("id"), "give the tag's number");
         let size = keys.need("size_mm", keys.positive("size_mm"), "measure the black border");
         let placing = Placing::read(keys, "the centre of the black square");
         Some(Self {
-            photo: folder.join(photo?),
+            photo: photo?,
             family: family.unwrap_or("36h11").to_owned(),
             id: id?,
             size_mm: size?,
@@ -316,12 +321,15 @@ impl BoardPose {
     ];
 
     fn read(keys: &Keys, folder: &Path) -> Option<Self> {
-        let photo =
-            keys.need("photo", keys.text("photo"), "name the photograph that shows the board");
+        let photo = keys.need(
+            "photo",
+            keys.file("photo", folder),
+            "name the photograph that shows the board",
+        );
         let own = Self::KEYS[4..].iter().any(|key| keys.has(key));
         let board = if own { Some(read_own_board(keys)?) } else { None };
         let placing = Placing::read(keys, "the centre of the inner-corner grid");
-        Some(Self { photo: folder.join(photo?), board, placing: placing? })
+        Some(Self { photo: photo?, board, placing: placing? })
     }
 }
 

@@ -10,8 +10,9 @@ use serde::Serialize;
 use toml::de::DeTable;
 
 use super::camera_keys::{CameraKeys, ExposureKeys, PoseSource};
-use super::frames::Frames;
+use super::frames::{Frames, frame_path, has_pattern};
 use super::keys::{Keys, Problems};
+use super::prepare::METHODS;
 use super::probe_keys::{Lamp, ProbeKeys, Surroundings};
 use crate::photo::{NamedColour, text};
 
@@ -166,11 +167,21 @@ impl ShotFile {
         let path = if path.is_dir() { path.join("shot.toml") } else { path.to_owned() };
         let read = text::read(&path, MAX_BYTES)
             .map_err(|cause| ShotFileError::Unreadable { path: path.clone(), cause })?;
-        Self::parse(&path, &read)
+        // Where the text is wrong there will be no plan that looks at its files: all is told now.
+        Self::parse_or(&path, &read, |problems| problems.look_at_files())
     }
 
-    /// Reads the text of a shot file that lies at `path`.
+    /// Reads the text of a shot file that lies at `path`; no other file is looked at.
     pub fn parse(path: &Path, text: &str) -> Result<Self, ShotFileError> {
+        Self::parse_or(path, text, |_| ())
+    }
+
+    /// As [`ShotFile::parse`]; `of_wrong_text` may note more problems where there are some.
+    fn parse_or(
+        path: &Path,
+        text: &str,
+        of_wrong_text: impl FnOnce(&Problems),
+    ) -> Result<Self, ShotFileError> {
         let problems = Problems::new(path, text);
         let (table, syntax) = DeTable::parse_recoverable(text);
         for error in &syntax {
@@ -181,9 +192,12 @@ impl ShotFile {
         }
         let folder = path.parent().unwrap_or(Path::new(""));
         let shot = read_root(&Keys::root(&problems, table.get_ref(), ROOT), path, folder);
-        match (shot, problems.into_sentences()) {
-            (Some(shot), problems) if problems.is_empty() => Ok(shot),
-            (_, problems) => Err(ShotFileError::Problems(problems)),
+        match shot {
+            Some(shot) if problems.is_empty() => Ok(shot),
+            _ => {
+                of_wrong_text(&problems);
+                Err(ShotFileError::Problems(problems.into_sentences()))
+            }
         }
     }
 
@@ -268,14 +282,18 @@ fn read_plate(keys: &Keys, folder: &Path) -> Option<PlateKeys> {
         }
     });
     if let Some(file) = file {
-        match (super::frames::has_pattern(file), keys.has("frames")) {
+        match (has_pattern(file), keys.has("frames")) {
             (true, false) => keys.problem(
                 "file",
                 "is a pattern of numbered frames; add frames = \"1001-1048\" beside it",
             ),
             (false, true) => keys
                 .problem("frames", "is given, but file has no #### to put the frame's number in"),
-            _ => {}
+            (true, true) => {
+                let each = frames.iter().flat_map(Frames::iter);
+                each.for_each(|n| keys.names_file("file", frame_path(&folder.join(file), n)));
+            }
+            (false, false) => keys.names_file("file", folder.join(file)),
         }
     }
     let exposure = ExposureKeys::read(keys, "exposure");
@@ -314,7 +332,7 @@ fn read_support(keys: &Keys, folder: &Path) -> Option<Support> {
         keys.problem("albedo", "a surface reflects between 0 and 1 of the light, per channel");
     }
     let shape = match keys.exactly_one(&["plane", "mesh"])? {
-        "mesh" => SupportShape::Mesh(folder.join(keys.text("mesh")?)),
+        "mesh" => SupportShape::Mesh(keys.file("mesh", folder)?),
         _ => {
             let plane = keys.table("plane", &["size", "at", "normal"])?;
             let size = plane.positives("size");
@@ -335,17 +353,17 @@ fn read_support(keys: &Keys, folder: &Path) -> Option<Support> {
 }
 
 fn read_local(keys: &Keys, folder: &Path) -> Option<Local> {
-    let file = keys.need("file", keys.text("file"), "name a .glb, .gltf or .obj file");
+    let file = keys.need("file", keys.file("file", folder), "name a .glb, .gltf or .obj file");
     let holdout = keys.flag("holdout").unwrap_or(false);
-    Some(Local { file: folder.join(file?), holdout })
+    Some(Local { file: file?, holdout })
 }
 
 fn read_object(keys: &Keys, folder: &Path) -> Option<Object> {
-    let file = keys.need("file", keys.text("file"), "name a .glb, .gltf or .obj file");
+    let file = keys.need("file", keys.file("file", folder), "name a .glb, .gltf or .obj file");
     let at = keys.numbers("at").unwrap_or_default();
     let rotate = keys.numbers("rotate").unwrap_or_default();
     let scale = keys.positive("scale").unwrap_or(1.0);
-    Some(Object { file: folder.join(file?), at, rotate, scale })
+    Some(Object { file: file?, at, rotate, scale })
 }
 
 const RENDER: &[&str] = &["error", "time", "samples", "method"];
@@ -360,7 +378,8 @@ pub const NO_ERROR: &str =
 const DEFAULT_ERROR: f64 = 0.01;
 
 fn read_render(keys: &Keys) -> Option<Render> {
-    let method = keys.text("method").unwrap_or("auto").to_owned();
+    let method = keys.choice("method", &METHODS.map(|(name, _)| (name, name)));
+    let method = method.unwrap_or("auto").to_owned();
     let given = ["error", "time", "samples"].iter().any(|key| keys.has(key));
     let stop = if given {
         match keys.exactly_one(&["error", "time", "samples"])? {

@@ -10,23 +10,47 @@ use std::path::{Path, PathBuf};
 use toml::Spanned;
 use toml::de::{DeArray, DeTable, DeValue};
 
+use super::pictures;
+
 /// Everything found wrong with one file, each with file, line, key and remedy.
 #[derive(Debug)]
 pub struct Problems<'a> {
     file: PathBuf,
     text: &'a str,
     found: RefCell<Vec<String>>,
+    files: RefCell<Vec<NamedFile>>,
+}
+
+/// A file or pattern that the text names.
+#[derive(Clone, Debug)]
+struct NamedFile {
+    byte: usize,
+    key: String,
+    path: PathBuf,
 }
 
 impl<'a> Problems<'a> {
     pub fn new(file: &Path, text: &'a str) -> Self {
-        Self { file: file.to_owned(), text, found: RefCell::default() }
+        Self { file: file.to_owned(), text, found: RefCell::default(), files: RefCell::default() }
+    }
+
+    /// Notes every named file that is not there or cannot be read.
+    pub fn look_at_files(&self) {
+        for NamedFile { byte, key, path } in self.files.take() {
+            if let Err(cause) = pictures::expand(&path) {
+                self.note(byte, &format!("{key}: {}: {cause}", path.display()));
+            }
+        }
     }
 
     /// Notes a problem at a byte of the file.
     pub fn note(&self, byte: usize, sentence: &str) {
         let line = 1 + self.text.bytes().take(byte).filter(|&b| b == b'\n').count();
         self.found.borrow_mut().push(format!("{}:{line}: {sentence}", self.file.display()));
+    }
+
+    pub fn is_empty(&self) -> bool {
+        self.found.borrow().is_empty()
     }
 
     /// All problems so far, in the order in which they were found.
@@ -131,6 +155,19 @@ impl<'a> Keys<'a> {
 
     pub fn text(&self, key: &'static str) -> Option<&'a str> {
         self.read(key, "a text in quotes", |v| v.as_str())
+    }
+
+    /// The path of a file or pattern, relative to `folder` in the text; noted among the named files.
+    pub fn file(&self, key: &'static str, folder: &Path) -> Option<PathBuf> {
+        let path = folder.join(self.text(key)?);
+        self.names_file(key, path.clone());
+        Some(path)
+    }
+
+    /// Notes that the value of `key` stands for this file.
+    pub fn names_file(&self, key: &str, path: PathBuf) {
+        let byte = self.table.get(key).map_or(self.start, |value| value.span().start);
+        self.problems.files.borrow_mut().push(NamedFile { byte, key: self.path(key), path });
     }
 
     pub fn flag(&self, key: &'static str) -> Option<bool> {

@@ -175,7 +175,8 @@ impl Ball {
     ];
 
     fn read(keys: &Keys, folder: &Path) -> Option<Self> {
-        let photos = keys.need("photos", keys.text("photos"), "name the bracket, \"ball_b*.jpg\"");
+        let photos =
+            keys.need("photos", keys.file("photos", folder), "name the bracket, \"ball_b*.jpg\"");
         let radius =
             keys.need("radius", keys.positive("radius"), "give the ball's radius in metres");
         let at = keys.need("at", keys.numbers("at"), "give the ball's centre in metres");
@@ -192,7 +193,7 @@ impl Ball {
         let exposures = ExposureKeys::read_list(keys, "exposures");
         let hint_px = keys.numbers("hint_px");
         Some(Self {
-            photos: folder.join(photos?),
+            photos: photos?,
             exposures,
             radius: radius?,
             at: at?,
@@ -235,7 +236,7 @@ fn read_camera(keys: &Keys, folder: &Path) -> Option<Option<CameraSource>> {
     }
     match keys.text("camera")? {
         "plate" => Some(None),
-        file => Some(Some(CameraSource::File(folder.join(file)))),
+        _ => Some(Some(CameraSource::File(keys.file("camera", folder)?))),
     }
 }
 
@@ -259,13 +260,13 @@ impl Fisheye {
             ("equidistant", FisheyeMapping::Equidistant),
             ("equisolid", FisheyeMapping::Equisolid),
         ];
-        let photos = keys.need("photos", keys.text("photos"), "name the photographs");
+        let photos = keys.need("photos", keys.file("photos", folder), "name the photographs");
         let fov_deg = keys.positive("fov_deg").unwrap_or(180.0);
         if fov_deg > 360.0 {
             keys.problem("fov_deg", "a lens sees at most 360°");
         }
         Some(Self {
-            photos: folder.join(photos?),
+            photos: photos?,
             exposures: ExposureKeys::read_list(keys, "exposures"),
             mapping: keys.choice("mapping", &mappings).unwrap_or(FisheyeMapping::Equidistant),
             fov_deg,
@@ -286,9 +287,9 @@ impl PanoramaKeys {
             ("ball", PanoramaMapping::BallMap),
             ("cube", PanoramaMapping::Cube),
         ];
-        let file = keys.need("file", keys.text("file"), "name the panorama's file");
+        let file = keys.need("file", keys.file("file", folder), "name the panorama's file");
         Some(Self {
-            file: folder.join(file?),
+            file: file?,
             mapping: keys.choice("mapping", &mappings).unwrap_or(PanoramaMapping::LatLong),
             rotation: keys.numbers("rotation").unwrap_or_default(),
             at: keys.numbers("at").unwrap_or_default(),
@@ -301,7 +302,7 @@ impl Surroundings {
 
     pub fn read(keys: &Keys, folder: &Path) -> Option<Self> {
         if keys.exactly_one(&["box", "mesh"])? == "mesh" {
-            return Some(Self::Mesh(folder.join(keys.text("mesh")?)));
+            return Some(Self::Mesh(keys.file("mesh", folder)?));
         }
         let table = keys.table("box", &["min", "max"])?;
         let min = table.need("min", table.numbers::<3>("min"), "give the lower corner in metres");
