@@ -40,7 +40,7 @@ pub struct Stop {
     /// Stop at this error relative to the plate, for example 0.01
     #[arg(long, value_name = "SHARE")]
     error: Option<f64>,
-    /// Stop after this many seconds of rendering
+    /// Be done after this many seconds in all: reading, preparing and writing are part of them
     #[arg(long, value_name = "SECONDS")]
     time: Option<f64>,
     /// Stop after this many samples in every influenced pixel

@@ -84,7 +84,7 @@ fn predicted_time(plan: &Plan) -> String {
         return "no rendering: the shot has no object".to_owned();
     }
     match plan.shot.render.stop {
-        StopKeys::Time(seconds) => format!("{seconds:.0} s of rendering, as asked for"),
+        StopKeys::Time(seconds) => format!("{seconds:.0} s in all, as asked for"),
         StopKeys::Samples(samples) => {
             format!("{} of rendering", span(seconds(plan, f64::from(samples))))
         }

@@ -16,7 +16,8 @@ use super::prepare::{Prepared, method_name, prepare};
 use super::watch::{Stopwatch, Watch, cpu_seconds};
 use super::write::{self, FileMark, OutFiles};
 use crate::composite::{Mode, compose};
-use crate::photo::{PhotoError, atomic};
+use crate::conventions::Rgb;
+use crate::photo::{Image, PhotoError, atomic};
 use crate::render::{self, Context, Difference, Job, Numbers, Progress, RenderError, Stop};
 use crate::report::{RenderReport, Report, ReportError};
 
@@ -133,6 +134,7 @@ fn run_one(
         shot.render.stop = stop;
     }
     let settings = serde_json::to_value(&shot).unwrap_or_default();
+    let begun = Instant::now();
     check_folder(&files.folder)?;
     let mut stopwatch = Stopwatch::new();
     stopwatch.begin("read the shot", watch);
@@ -154,7 +156,7 @@ fn run_one(
         watch.warning(warning);
     }
     stopwatch.begin("render", watch);
-    let (difference, render) = render_shot(plan, prepared, files, context, watch)?;
+    let (difference, render) = render_shot(plan, prepared, files, context, begun, watch)?;
 
     stopwatch.begin("composite and report", watch);
     let done = Finish { plan, prepared, difference, render, settings, inputs, seed: context.seed };
@@ -200,18 +202,32 @@ fn make_folder(folder: &Path) -> Result<(), RunError> {
         .map_err(|cause| RunError::Folder { folder: folder.to_owned(), cause })
 }
 
+/// What of a time limit is left for the waves: preparation is over, and the results want to be written.
+fn time_to_render(limit: f64, begun: Instant, plan: &Plan, prepared: &Prepared) -> f64 {
+    /// Seconds for composite, layers and overlays of a megapixel, and for one of the panorama: measured on
+    /// plates of 0.8 and 8 megapixels.
+    const WRITING: [f64; 2] = [3.0, 0.6];
+    let megapixels = |picture: &Image<Rgb>| picture.pixels().len() as f64 * 1e-6;
+    let plate = WRITING[0] * megapixels(&plan.plate.linear);
+    let panorama = WRITING[1] * megapixels(&prepared.light.panorama.radiance);
+    limit - begun.elapsed().as_secs_f64() - plate - panorama
+}
+
 /// Renders until the stopping rule is met; the first wave's picture is written at once.
 fn render_shot(
     plan: &Plan,
     prepared: &Prepared,
     files: &OutFiles,
     context: &Context,
+    begun: Instant,
     watch: &dyn Watch,
 ) -> Result<(Difference, RenderReport), RunError> {
     let (wall, cpu) = (Instant::now(), cpu_seconds());
     let stop = match plan.shot.render.stop {
         StopKeys::Error(error) => Stop::Error(error),
-        StopKeys::Time(seconds) => Stop::TimeSeconds(seconds),
+        StopKeys::Time(seconds) => {
+            Stop::TimeSeconds(time_to_render(seconds, begun, plan, prepared).max(0.0))
+        }
         StopKeys::Samples(samples) => Stop::Samples(samples),
     };
     let mut report = RenderReport {
@@ -303,7 +319,7 @@ pub fn wrong_size(error: crate::composite::CompositeError) -> RunError {
 fn stop_name(stop: StopKeys) -> String {
     match stop {
         StopKeys::Error(error) => format!("error {} %", 100.0 * error),
-        StopKeys::Time(seconds) => format!("{seconds} s"),
+        StopKeys::Time(seconds) => format!("{seconds} s in all"),
         StopKeys::Samples(samples) => format!("{samples} samples a pixel"),
     }
 }
