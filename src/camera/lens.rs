@@ -66,6 +66,16 @@ impl Distortion {
         }
     }
 
+    /// What the coefficients are called, in the same order.
+    pub fn names(&self) -> &'static [&'static str] {
+        match self {
+            Self::None => &[],
+            Self::BrownConrady { .. } => &["k1", "k2", "p1", "p2", "k3"],
+            Self::Rational { .. } => &["k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"],
+            Self::KannalaBrandt { .. } => &["k1", "k2", "k3", "k4"],
+        }
+    }
+
     /// The same model with other coefficients; `None` if their number is wrong.
     pub fn with_coefficients(&self, c: &[f64]) -> Option<Self> {
         Some(match (self, c) {

@@ -132,18 +132,23 @@ fn describe(found: &FoundLens, out: &std::path::Path) -> String {
         "centre      {:.3} ± {:.3}, {:.3} ± {:.3} px",
         lens.cx, sigma[2], lens.cy, sigma[3]
     );
-    let coefficients: Vec<String> = lens
-        .distortion
-        .coefficients()
-        .iter()
-        .zip(sigma.iter().skip(4))
-        .map(|(k, s)| format!("{k:.5} ± {s:.5}"))
+    let coefficients = lens.distortion.coefficients();
+    let named = lens.distortion.names().iter().zip(&coefficients).zip(sigma.iter().skip(4));
+    // A term of exactly 0 was not needed and is not known to be 0.
+    let terms: Vec<String> = named
+        .filter(|((_, k), _)| **k != 0.0)
+        .map(|((name, k), s)| format!("{name} {k:.5} ± {s:.5}"))
         .collect();
-    let _ = writeln!(text, "distortion  {}", coefficients.join(", "));
+    let terms = if terms.is_empty() { "none needed".to_owned() } else { terms.join(", ") };
+    let _ = writeln!(text, "distortion  {terms}");
     let _ = writeln!(
         text,
-        "residual    {:.3} px rms; the lens is known to {:.3} px over the frame",
-        report.rms_px.unwrap_or(f64::NAN),
+        "residual    {:.3} px rms: how far the corners lie from where this lens sees them",
+        report.rms_px.unwrap_or(f64::NAN)
+    );
+    let _ = writeln!(
+        text,
+        "known to    {:.3} px (1 σ) over the frame: how far this lens may be wrong",
         report.sigma_projection_px.unwrap_or(f64::NAN)
     );
     let _ = write!(text, "written     {}", out.display());

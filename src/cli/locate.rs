@@ -164,18 +164,27 @@ fn source(args: &Args) -> Result<PoseSource, CliError> {
 
 fn describe(summary: &Summary) -> String {
     let pose = &summary.pose;
-    let three = |v: [f64; 3], digits: usize| v.map(|x| format!("{x:.digits$}")).join(", ");
-    let sigma = |v: Option<[f64; 3]>, digits: usize| {
-        v.map_or(String::new(), |v| format!(" ± {}", three(v, digits)))
-    };
+    let three = |v: [String; 3]| v.join(", ");
     let mut lines = vec![
         format!("from        {}", pose.source),
-        format!("position    {}{} m", three(pose.position_m, 5), sigma(pose.sigma_position_m, 5)),
-        format!("turned by  {} ° (camera x, y, z)", sigma(pose.sigma_rotation_deg, 4)),
-        format!("residual    {:.3} px rms", pose.rms_px.unwrap_or(f64::NAN)),
+        format!("position    {} m", three(pose.position_m.map(|m| format!("{m:.5}")))),
     ];
+    if let Some(sigma) = pose.sigma_position_m {
+        let mm = sigma.map(|m| format!("{:.2}", 1000.0 * m));
+        lines.push(format!("            ± {} mm (world x, y, z)", three(mm)));
+    }
+    if let Some(sigma) = pose.sigma_rotation_deg {
+        let degrees = sigma.map(|d| format!("{d:.4}"));
+        lines.push(format!("direction   ± {} ° (about the camera's x, y, z)", three(degrees)));
+    }
+    lines.extend(
+        pose.rms_px.map(|rms| format!("residual    {rms:.3} px rms at the target's corners")),
+    );
     if let Some(slip) = pose.slip_px {
-        lines.push(format!("slip        ± {slip:.2} px round the target"));
+        let cm = 100.0 * SLIP_RADIUS_M;
+        lines.push(format!(
+            "slip        ± {slip:.2} px for what stands within {cm:.0} cm of the target"
+        ));
     }
     lines.extend(pose.ambiguity.as_ref().map(|a| format!("also        {a}")));
     lines.extend(summary.out.as_ref().map(|out| format!("written     {}", out.display())));
