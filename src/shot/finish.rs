@@ -114,7 +114,6 @@ pub fn finish(
         ));
     }
     let solved = solved_albedos(&prepared.scene, &difference.albedo);
-    warnings.extend(scale_warning(&solved));
     if let Some(ground) = place::ground(plan) {
         warnings.extend(border_warning(prepared, &difference, &ground));
     }
@@ -239,26 +238,8 @@ fn percent(part: u64, whole: u64) -> f64 {
     if whole == 0 { 0.0 } else { 100.0 * part as f64 / whole as f64 }
 }
 
-/// A surface that seems to give back more light than it gets: plate and probe disagree (R9.2).
-fn scale_warning(solved: &[Rgb]) -> Option<Warning> {
-    let mut too_white: Vec<f32> =
-        solved.iter().map(|albedo| albedo.max_element()).filter(|&a| a > 0.95).collect();
-    let share = percent(too_white.len() as u64, solved.len() as u64);
-    if share <= 5.0 {
-        return None;
-    }
-    let middle = too_white.len() / 2;
-    let albedo = *too_white.select_nth_unstable_by(middle, f32::total_cmp).1;
-    Some(Warning::new(
-        "plate.exposure",
-        "the support seems to reflect more than 95 % of its light: the exposures of plate and probe, \
-         the ball's reflectance or the sun's strength are wrong, or light comes from near by; correct \
-         them, or set plate.relative_exposure, until the albedo is one the surface can have",
-        format!(
-            "{share:.0} % of the support's pixels; albedo {albedo:.2} there, shadows turn to glows"
-        ),
-    ))
-}
+/// A shadow cut off along less of the border than this is hardly found by who looks for it.
+const BORDER_SEEN_PERCENT: f64 = 5.0;
 
 /// A shadow that reaches the border of the modelled support is cut off there (R9.8).
 fn border_warning(
@@ -334,17 +315,14 @@ mod tests {
     use crate::scene::{LocalMesh, LocalRole, Mesh};
 
     #[test]
-    fn a_white_that_somebody_gave_is_no_sign_of_a_wrong_exposure() {
+    fn a_white_that_somebody_gave_is_not_among_those_solved() {
         let local = |albedo| LocalMesh { mesh: Mesh::default(), role: LocalRole::Support, albedo };
         let white = Rgb::splat(0.98);
         let layer = Image::from_fn(10, 10, |x, _| if x < 8 { white } else { Rgb::splat(0.3) });
         let given = [AlbedoSource::Constant(white), AlbedoSource::Plate].map(local);
         let scene = Scene { local: given.to_vec(), ..Scene::default() };
         let solved = solved_albedos(&scene, &layer);
-        assert_eq!(scale_warning(&solved), None);
         assert_eq!(median(&solved), Some([f64::from(0.3f32); 3]));
-        let scene = Scene { local: vec![local(AlbedoSource::Plate)], ..Scene::default() };
-        assert!(scale_warning(&solved_albedos(&scene, &layer)).is_some());
         assert_eq!(median(&[]), None);
     }
 }

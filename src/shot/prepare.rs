@@ -15,6 +15,7 @@ use super::placing;
 use super::plan::Plan;
 use super::probe_keys::{Ball, ProbeSource};
 use super::run::RunError;
+use super::support_light::{self, View};
 use super::unseen;
 use super::watch::{Stopwatch, Watch};
 use crate::camera::{Camera, Distortion};
@@ -112,6 +113,13 @@ pub fn prepare(
     warnings.extend(lost_triangles_warning(&scene));
     warnings.extend(unseen::warning(&scene, &camera));
     warnings.extend(placing::warnings(plan, &scene, &camera));
+    warnings.extend(support_light::warnings(&View {
+        plate: &plan.plate.linear,
+        clipped: &plan.plate.clipped,
+        camera: &camera,
+        scene: &scene,
+        lights: &light.lights,
+    }));
     let reach = reach(plan, light.panorama.place);
     let near =
         near_field::warnings(shot.surroundings.as_ref(), &shot.lamps, light.panorama.place, reach);
