@@ -43,6 +43,29 @@ pub enum Warning {
     NoiseAssumed { full_well_e: f64, read_noise_e: f64 },
 }
 
+impl Warning {
+    /// Whether somebody should look at it or mend it; false of what the merge took care of, of clipped
+    /// pixels, which their own validity class follows to the end, and of what only lowers the noise.
+    pub fn asks(&self) -> bool {
+        match self {
+            Self::Gap { .. }
+            | Self::Differs { .. }
+            | Self::BlackInLongest { .. }
+            | Self::LabelOff { .. }
+            | Self::ToneCurve { .. } => true,
+            // In a frame that shares little with the others so small a shift is often chance.
+            Self::NotAligned { shift: (x, y), .. } => x.hypot(*y) > 2.0,
+            Self::SameExposure { .. }
+            | Self::Duplicate { .. }
+            | Self::ClippedInShortest { .. }
+            | Self::RatioUnchecked { .. }
+            | Self::ResponseRecovered { .. }
+            | Self::Moved { .. }
+            | Self::NoiseAssumed { .. } => false,
+        }
+    }
+}
+
 /// Largest useful step of a bracket, stops (methods-capture C3, bracket plan).
 const MAX_STEP_STOPS: f64 = 3.0;
 /// Share of black pixels in the longest frame from which on it is too short.

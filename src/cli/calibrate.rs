@@ -66,9 +66,7 @@ pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
         Camera { width: *width, height: *height, lens: lens.clone(), pose: Pose::identity() };
     global.go_on()?;
     file::write(&args.out, &camera, false)?;
-    for warning in warnings {
-        global.warn(&warning.to_string());
-    }
+    global.tell(warnings);
     let summary = Summary { out: &args.out, camera: report, rungs, warnings };
     global.print(&summary, || describe(&found, &args.out));
     Ok(Outcome::Done)

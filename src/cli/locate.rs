@@ -119,9 +119,7 @@ pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
         global.go_on()?;
         file::write(out, &camera, true)?;
     }
-    for warning in &found.warnings {
-        global.warn(&warning.to_string());
-    }
+    global.tell(&found.warnings);
     let (m, t) = (camera.pose.rotation(), camera.pose.position());
     let row = |i: usize| [m.x_axis[i], m.y_axis[i], m.z_axis[i], t[i]];
     let summary = Summary {

@@ -106,6 +106,14 @@ impl Global {
     pub fn warn(&self, message: &str) {
         self.say(&format!("warning: {message}"));
     }
+
+    /// Says a room's warnings, and its notes as such, on stderr, unless quiet.
+    pub fn tell(&self, warnings: &[Warning]) {
+        for warning in warnings {
+            let word = if warning.asks { "warning" } else { "note" };
+            self.say(&format!("{word}: {warning}"));
+        }
+    }
 }
 
 /// Prints a line on stdout.

@@ -7,7 +7,7 @@ use std::path::Path;
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
 use super::text::per_cent;
-use super::{Picture, Report, ReportError, photographs};
+use super::{CameraReport, Picture, Report, ReportError, Warning, counted, photographs};
 
 const STYLE: &str = "
 body{font:15px/1.5 system-ui,sans-serif;max-width:1100px;margin:2rem auto;padding:0 1rem;color:#222;background:#fafafa}
@@ -47,7 +47,8 @@ fn page(report: &Report, before: &str, after: &str) -> Markup {
                 style { (PreEscaped(STYLE)) }
             }
             body {
-                h1 { "Platelight report" }
+                h1 { (name(report)) }
+                p.note { "Platelight report on " (report.plate.file.display()) }
                 div.pair {
                     img src=(before) alt="the plate";
                     img src=(after) alt="the plate with the objects" style="clip-path:inset(0 0 0 0%)";
@@ -79,8 +80,21 @@ fn warnings(report: &Report) -> Markup {
         h2 { "Warnings" }
         @if report.warnings.is_empty() { p { "None." } }
         @for warning in &report.warnings {
-            div.warning { b { (warning.about) } ": " (warning.message) br; i { (warning.size) } }
+            div.warning { (sentence(warning)) }
         }
+        @if !report.notes.is_empty() {
+            details {
+                summary { (counted(report.notes.len(), "note")) ", nothing to act on" }
+                @for note in &report.notes { p.note { (sentence(note)) } }
+            }
+        }
+    }
+}
+
+fn sentence(warning: &Warning) -> Markup {
+    html! {
+        b { (warning.about) } ": " (warning.message) "."
+        @if !warning.size.is_empty() { br; i { "Effect: " (warning.size) } }
     }
 }
 
@@ -290,7 +304,9 @@ mod tests {
     fn the_page_shows_warnings_and_escapes_names() {
         let mut report = Report::default();
         report.warnings.push(Warning::new("probe", "a <script> in a name", "up to 3 %"));
+        report.notes.push(Warning::note("lens", "nothing to do", ""));
         let page = page(&report, "before.png", "after.png").into_string();
+        assert!(page.contains("1 note,") && page.contains("nothing to do"), "notes are counted");
         assert!(page.contains("a &lt;script&gt; in a name") && page.contains("up to 3 %"));
         assert!(page.contains("before.png") && page.contains("after.png"));
     }

@@ -37,6 +37,8 @@ pub struct Report {
     pub stages: Vec<Stage>,
     pub budget: Budget,
     pub warnings: Vec<Warning>,
+    /// What is good to know and asks for nothing.
+    pub notes: Vec<Warning>,
     /// Files beside the report, by what they show.
     pub pictures: Vec<Picture>,
 }
@@ -48,8 +50,11 @@ pub struct Warning {
     pub about: String,
     /// What was found, and what to do.
     pub message: String,
-    /// How large the effect on the picture can be.
+    /// How large the effect on the picture can be; empty where the message says it.
     pub size: String,
+    /// False of a note, which asks for nothing.
+    #[serde(skip)]
+    pub asks: bool,
 }
 
 impl Warning {
@@ -58,13 +63,28 @@ impl Warning {
         message: impl Into<String>,
         size: impl Into<String>,
     ) -> Self {
-        Self { about: about.into(), message: message.into(), size: size.into() }
+        Self { about: about.into(), message: message.into(), size: size.into(), asks: true }
+    }
+
+    /// Something good to know that asks for nothing: it is in the report, and not on the terminal.
+    pub fn note(
+        about: impl Into<String>,
+        message: impl Into<String>,
+        size: impl Into<String>,
+    ) -> Self {
+        Self { asks: false, ..Self::new(about, message, size) }
+    }
+
+    /// Those that ask for something, and the notes.
+    pub fn apart(all: Vec<Self>) -> (Vec<Self>, Vec<Self>) {
+        all.into_iter().partition(|warning| warning.asks)
     }
 }
 
 impl std::fmt::Display for Warning {
     fn fmt(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
-        write!(f, "{}: {} ({})", self.about, self.message, self.size)
+        write!(f, "{}: {}", self.about, self.message)?;
+        if self.size.is_empty() { Ok(()) } else { write!(f, "\n    effect: {}", self.size) }
     }
 }
 
@@ -290,7 +310,13 @@ pub fn write_json(path: &Path, report: &Report) -> Result<(), ReportError> {
 
 /// "1 photograph", "14 photographs".
 pub fn photographs(n: usize) -> String {
-    if n == 1 { "1 photograph".to_owned() } else { format!("{n} photographs") }
+    counted(n, "photograph")
+}
+
+/// "1 note", "3 notes".
+pub fn counted(n: usize, noun: &str) -> String {
+    let plural = if n == 1 { "" } else { "s" };
+    format!("{n} {noun}{plural}")
 }
 
 /// Azimuth (from +Z toward +X) and elevation (above the horizon) of a direction, degrees.

@@ -52,7 +52,8 @@ pub fn merge(plan: &mut Plan) -> Result<Option<(Radiance, Vec<Warning>)>, String
             bracket::Warning::ToneCurve { .. } => bent = true,
             _ => {}
         }
-        warnings.push(Warning::new("probe bracket", warning.to_string(), "the pixels named"));
+        let said = Warning::new("probe bracket", warning.to_string(), "");
+        warnings.push(Warning { asks: warning.asks(), ..said });
     }
     if recovering && merged.response.is_none() {
         return Err(format!(
@@ -62,7 +63,7 @@ pub fn merge(plan: &mut Plan) -> Result<Option<(Radiance, Vec<Warning>)>, String
         ));
     }
     if let Some(curve) = merged.response {
-        warnings.push(Warning::new(
+        warnings.push(Warning::note(
             "plate.colour",
             "plate and probe are read through the camera's own tone curve, recovered from the bracket",
             format!("up to a factor {:.2} from sRGB", curve.distance_from_srgb()),

@@ -32,6 +32,7 @@ pub struct Findings {
     /// What a run will take on this machine, in words.
     pub predicted_time: String,
     pub warnings: Vec<Warning>,
+    pub notes: Vec<Warning>,
 }
 
 /// Reads, calibrates, locates and unwraps, as a run would, and renders nothing.
@@ -60,6 +61,8 @@ pub fn check(shot: &ShotFile, context: &Context, watch: &dyn Watch) -> Result<Fi
     let mut plan = Plan::make(first).map_err(RunError::Problems)?;
     let prepared = prepare(&mut plan, &mut stopwatch, context, watch)?;
     let local = plan.support.iter().chain(&plan.local);
+    let warnings = [&plan.warnings[..], &prepared.warnings[..]].concat();
+    let (warnings, notes) = Warning::apart(warnings);
     Ok(Findings {
         shot: shot.path.clone(),
         inputs: plan.inputs.len(),
@@ -74,7 +77,8 @@ pub fn check(shot: &ShotFile, context: &Context, watch: &dyn Watch) -> Result<Fi
         ],
         predicted_bytes: plan.predicted_bytes(),
         predicted_time: predicted_time(&plan),
-        warnings: [plan.warnings, prepared.warnings].concat(),
+        warnings,
+        notes,
     })
 }
 
@@ -151,6 +155,9 @@ impl std::fmt::Display for Findings {
         )?;
         for warning in &self.warnings {
             write!(f, "\nwarning: {warning}")?;
+        }
+        for note in &self.notes {
+            write!(f, "\nnote: {note}")?;
         }
         Ok(())
     }

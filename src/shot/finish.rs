@@ -105,21 +105,15 @@ pub fn finish(
             format!("{:.1} % of the picture", percent(render.missing, pixels)),
         ));
     }
-    if render.outliers > 0 {
-        warnings.push(Warning::new(
-            "render",
-            "some pixels caught light that is found by chance (a sun mirrored by an object); the error \
-             reached leaves them out, the layer stderr does not",
-            format!("{} pixels", render.outliers),
-        ));
-    }
+    warnings.extend(outliers_warning(render.outliers, composite.tally.changed));
     let solved = solved_albedos(&prepared.scene, &difference.albedo);
     if let Some(ground) = place::ground(plan) {
         warnings.extend(border_warning(prepared, &difference, &ground));
     }
-    for warning in &warnings[n_told..] {
+    for warning in warnings[n_told..].iter().filter(|warning| warning.asks) {
         watch.warning(warning);
     }
+    let (warnings, notes) = Warning::apart(warnings);
     let budget = budget::budget(prepared, &render);
     let report = Report {
         program: existing::PROGRAM.to_owned(),
@@ -142,6 +136,7 @@ pub fn finish(
         stages: stopwatch.finish(),
         budget,
         warnings,
+        notes,
         pictures,
     };
     let html_path = files.path("report", "html");
@@ -234,6 +229,25 @@ fn composite_warnings(composite: &Composite, clamped: u64) -> Vec<Warning> {
     warnings
 }
 
+/// Few such pixels are a note; where they are many they show as specks.
+fn outliers_warning(outliers: u64, changed: u64) -> Option<Warning> {
+    let share = percent(outliers, changed);
+    let found = "some pixels caught light that is found by chance (a sun mirrored by an object); the \
+                 error reached leaves them out, the layer stderr does not";
+    let size = format!("{outliers} px, {share:.2} % of the changed ones");
+    match share {
+        _ if outliers == 0 => None,
+        share if share < SPECKS_PERCENT => Some(Warning::note("render", found, size)),
+        _ => {
+            let remedy = format!("{found}; they may show as specks: take a smaller render.error");
+            Some(Warning::new("render", remedy, size))
+        }
+    }
+}
+
+/// A speck in a hundred pixels across and down is seen, one in a thousand pixels is lost in grain.
+const SPECKS_PERCENT: f64 = 0.1;
+
 fn percent(part: u64, whole: u64) -> f64 {
     if whole == 0 { 0.0 } else { 100.0 * part as f64 / whole as f64 }
 }
@@ -271,14 +285,14 @@ fn border_warning(
             }
         }
     }
-    (percent(cut, seen) > 1.0).then(|| {
-        Warning::new(
-            "support",
-            "the objects' shadow or light reaches the border of the modelled support and ends \
-             there; make the support larger",
-            format!("{:.0} % of its border, more than 1 % of the plate there", percent(cut, seen)),
-        )
-    })
+    let share = percent(cut, seen);
+    let said = Warning::new(
+        "support",
+        "the objects' shadow or light reaches the border of the modelled support and ends there; where \
+         the real surface goes on, make the support larger",
+        format!("{share:.0} % of its border, more than 1 % of the plate there"),
+    );
+    (share > 1.0).then(|| Warning { asks: share > BORDER_SEEN_PERCENT, ..said })
 }
 
 /// The albedos that were solved from the plate; those that somebody gave say nothing of its light.

@@ -59,6 +59,8 @@ const GUESSED_SHARE: f32 = 0.05;
 
 /// A clipped region with less than this share of the light changes nothing that can be seen.
 const NEGLIGIBLE_SHARE: f64 = 1e-3;
+/// All of them together with less than this are a note.
+const SMALL_SUM: f64 = 1e-2;
 
 /// Unwraps the merged `bracket` of a ball (which needs `ball_camera`) or fisheye, or reads a panorama.
 ///
@@ -327,7 +329,8 @@ fn judge_clipped(
                 small.len()
             ),
             format!("at least {:.2} % of the light", 100.0 * sum),
-        ));
+        );
+        warnings.push(Warning { asks: sum > SMALL_SUM, ..said });
     }
     if matter.is_empty() {
         return Ok(Vec::new());

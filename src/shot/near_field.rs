@@ -78,7 +78,8 @@ fn warning(key: &str, what: &str, distance: f64, reach: f64) -> Warning {
              {verdict}; near light is read but has no effect yet"
         ),
         size,
-    )
+    );
+    Warning { asks: error > TOLERATED_ERROR, ..said }
 }
 
 /// Distance from a point to the nearest side wall or ceiling of a box; the floor is the support's

@@ -152,7 +152,7 @@ fn run_one(
         Some(prepared) => prepared,
         none => none.insert(prepare(plan, &mut stopwatch, context, watch)?),
     };
-    for warning in plan.warnings.iter().chain(&prepared.warnings) {
+    for warning in plan.warnings.iter().chain(&prepared.warnings).filter(|w| w.asks) {
         watch.warning(warning);
     }
     stopwatch.begin("render", watch);

@@ -208,7 +208,14 @@ pub fn calibrate(
 fn warning(warning: &LensWarning, sigma_px: f64) -> Warning {
     let size = match warning {
         LensWarning::RungsDisagree { apart_px, .. } => format!("{apart_px:.2} px over the frame"),
-        LensWarning::Extrapolated { max_px, .. } => format!("up to {max_px:.2} px there"),
+        LensWarning::Extrapolated { max_px, .. } => {
+            let (about, size) = ("camera", "nobody sees so little");
+            return if *max_px < SEEN_PX {
+                Warning::note(about, warning.to_string(), size)
+            } else {
+                Warning::new(about, warning.to_string(), "objects there stand beside their place")
+            };
+        }
         _ => format!("the lens is known to {sigma_px:.2} px over the frame"),
     };
     Warning::new("camera", warning.to_string(), size)
