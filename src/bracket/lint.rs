@@ -20,7 +20,7 @@ pub enum Warning {
     ClippedInShortest { path: PathBuf, pixels: usize, share: f64, first: (usize, usize) },
     #[error("{}: {:.0} % of this longest exposure is black: the dark parts are only noise", path.display(), 100.0 * share)]
     BlackInLongest { path: PathBuf, share: f64 },
-    #[error("{} and {}: too few pixels are well exposed in both to check their exposures", short.display(), long.display())]
+    #[error("{} and {}: too few pixels are well exposed in both to check their stated exposures against each other", short.display(), long.display())]
     RatioUnchecked { short: PathBuf, long: PathBuf },
     #[error("{} and {}: the exposures are stated as 1:{label:.3}, the pixels say 1:{measured:.3}; the pixels are believed", short.display(), long.display())]
     LabelOff { short: PathBuf, long: PathBuf, label: f64, measured: f64 },

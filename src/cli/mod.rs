@@ -29,6 +29,7 @@ use clap::{Parser, Subcommand};
 use serde::Serialize;
 
 use crate::render::Context;
+use crate::report::Warning;
 
 /// Put CG objects into photographs, and be told how right the result is.
 #[derive(Debug, Parser)]

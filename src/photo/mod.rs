@@ -154,12 +154,42 @@ pub struct Encoding {
 pub enum EncodingSource {
     /// EXR attributes.
     Header,
-    /// An embedded ICC profile, sRGB chunk or EXIF colour space.
+    /// An embedded ICC profile, or a PNG's own chunk.
     Profile,
+    /// EXIF's colour space: 1 is sRGB, "R03" Adobe RGB.
+    Exif,
     /// The user named it.
     Named,
     /// The documented rule for the format (8-bit files are sRGB, EXR and HDR are linear Rec.709).
     FormatRule,
+}
+
+/// "sRGB curve, Rec.709 primaries (EXIF)".
+impl std::fmt::Display for Encoding {
+    fn fmt(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
+        match &self.transfer {
+            Transfer::Linear => f.write_str("linear")?,
+            Transfer::Srgb => f.write_str("sRGB curve")?,
+            Transfer::Gamma(hundredths) => write!(f, "gamma {}", f64::from(*hundredths) / 100.0)?,
+            Transfer::Measured(_) => f.write_str("the camera's own curve, from the bracket")?,
+        }
+        let primaries = match self.primaries {
+            Primaries::Rec709 => "Rec.709",
+            Primaries::DisplayP3 => "Display P3",
+            Primaries::AdobeRgb => "Adobe RGB",
+            Primaries::AcesCg => "ACEScg",
+            Primaries::Aces2065 => "ACES2065-1",
+            Primaries::Custom(_) => "the file's own",
+        };
+        let source = match self.source {
+            EncodingSource::Header => "the file's header",
+            EncodingSource::Profile => "the file's colour profile",
+            EncodingSource::Exif => "EXIF",
+            EncodingSource::Named => "the shot file",
+            EncodingSource::FormatRule => "not stated, the rule for this kind of file",
+        };
+        write!(f, ", {primaries} primaries ({source})")
+    }
 }
 
 /// A file's own samples: interleaved channels, row-major, upright.

@@ -161,10 +161,10 @@ fn settle(
     }
     match (exif, samples) {
         (Some(ExifColour::AdobeRgb), Samples::U8 { .. } | Samples::U16 { .. }) => {
-            as_is(Transfer::Gamma(220), Primaries::AdobeRgb, EncodingSource::Profile)
+            as_is(Transfer::Gamma(220), Primaries::AdobeRgb, EncodingSource::Exif)
         }
         (Some(ExifColour::Srgb), Samples::U8 { .. } | Samples::U16 { .. }) => {
-            as_is(Transfer::Srgb, Primaries::Rec709, EncodingSource::Profile)
+            as_is(Transfer::Srgb, Primaries::Rec709, EncodingSource::Exif)
         }
         (_, Samples::U8 { .. }) => {
             as_is(Transfer::Srgb, Primaries::Rec709, EncodingSource::FormatRule)

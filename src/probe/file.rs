@@ -97,6 +97,8 @@ pub struct ReadPanorama {
     pub negative: Option<Negative>,
     /// What a person should know of how the file was read, each a sentence without its name.
     pub remarks: Vec<String>,
+    /// How the file's numbers stand for light.
+    pub encoding: photo::Encoding,
 }
 
 /// Negative light in a picture; compression and colour conversion make a little of it.
@@ -137,7 +139,7 @@ pub fn read(
     options: &ReadOptions,
 ) -> Result<ReadPanorama, ProbeError> {
     let photo = photo::read(path, options)?;
-    let negative = negative(&photo.linear);
+    let (negative, encoding) = (negative(&photo.linear), photo.encoding.clone());
     let source = bracket::file::from_picture(&photo)?;
     let (w, h) = (source.mean.width(), source.mean.height());
     if layout == Layout::LatLong {
@@ -149,7 +151,7 @@ pub fn read(
             uncover_unseen(&mut panorama);
         }
         let panorama = panorama.rotated(rotation);
-        return Ok(ReadPanorama { panorama, negative, remarks: photo.remarks });
+        return Ok(ReadPanorama { panorama, negative, remarks: photo.remarks, encoding });
     }
     let width = width.unwrap_or_else(|| natural_width(layout, w));
     check_width(width)?;
@@ -174,7 +176,7 @@ pub fn read(
         uncover_unseen(&mut panorama);
     }
     let panorama = panorama.rotated(rotation);
-    Ok(ReadPanorama { panorama, negative, remarks: photo.remarks })
+    Ok(ReadPanorama { panorama, negative, remarks: photo.remarks, encoding })
 }
 
 /// What no pixel of the file shows is not covered.

@@ -1,13 +1,19 @@
 //! A photograph to draw on: antialiased lines and circles over an 8-bit sRGB picture.
 
+use std::collections::{BTreeMap, BTreeSet};
+
 use glam::DVec2;
 
+use super::lettering::{self, HIGH, WIDE, letter};
 use crate::conventions::Rgb;
 use crate::photo::colour::srgb_encode;
 use crate::photo::{Image, Photo, Samples, Transfer};
 
 /// 8-bit sRGB.
 pub type Colour = [u8; 3];
+
+/// What is drawn round lines and letters.
+const RIM: Colour = [0, 0, 0];
 
 /// A picture that is drawn on. Points are in pixels, the centre of the top-left pixel is (0, 0).
 #[derive(Clone, Debug)]
@@ -37,9 +43,33 @@ impl Canvas {
         Self { width: linear.width(), height: linear.height(), data }
     }
 
-    /// A line between two points. Points that are not finite draw nothing.
+    /// A line between two points, with a dark rim that lets it be seen on any ground. Points that are not
+    /// finite draw nothing.
     pub fn line(&mut self, from: DVec2, to: DVec2, colour: Colour) {
-        let half = self.half_width();
+        self.path(&[Some(from), Some(to)], colour);
+    }
+
+    /// Blends a line through points, each pixel once, however many pieces touch it.
+    fn stroke(&mut self, points: &[Option<DVec2>], colour: Colour, half: f64, opacity: f64) {
+        let mut covered = BTreeMap::new();
+        for pair in points.windows(2) {
+            if let [Some(from), Some(to)] = *pair {
+                self.cover(from, to, half, &mut covered);
+            }
+        }
+        for ((x, y), share) in covered {
+            self.blend(x, y, colour, opacity * share);
+        }
+    }
+
+    /// How far a piece of a line covers the pixels round it.
+    fn cover(
+        &self,
+        from: DVec2,
+        to: DVec2,
+        half: f64,
+        covered: &mut BTreeMap<(usize, usize), f64>,
+    ) {
         if !from.is_finite() || !to.is_finite() {
             return;
         }
@@ -53,18 +83,61 @@ impl Canvas {
         for y in low.y as usize..=high.y as usize {
             for x in low.x as usize..=high.x as usize {
                 let distance = distance_to_line(DVec2::new(x as f64, y as f64), from, to);
-                self.blend(x, y, colour, (half + 0.5 - distance).clamp(0.0, 1.0));
+                let share = (half + 0.5 - distance).clamp(0.0, 1.0);
+                if share > 0.0 {
+                    let most = covered.entry((x, y)).or_insert(share);
+                    *most = most.max(share);
+                }
             }
         }
     }
 
     /// Lines through points; a gap where a point is missing.
     pub fn path(&mut self, points: &[Option<DVec2>], colour: Colour) {
-        for pair in points.windows(2) {
-            if let [Some(from), Some(to)] = *pair {
-                self.line(from, to, colour);
+        let half = self.half_width();
+        self.stroke(points, RIM, 2.0 * half, 0.5);
+        self.stroke(points, colour, half, 1.0);
+    }
+
+    /// As [`path`](Self::path), with lines that let the picture show through.
+    pub fn faint_path(&mut self, points: &[Option<DVec2>], colour: Colour) {
+        self.stroke(points, colour, 0.5 * self.half_width(), 0.6);
+    }
+
+    /// Letters whose lower left corner is at `at`, moved into the picture if they would leave it.
+    pub fn text(&mut self, at: DVec2, text: &str, colour: Colour) {
+        let cell = (self.width.max(self.height) / 500).max(1);
+        let (wide, high) = (cell * (WIDE + 1) * text.chars().count(), cell * HIGH);
+        if !at.is_finite() || wide + 2 * cell > self.width || high + 2 * cell > self.height {
+            return;
+        }
+        let within =
+            |v: f64, least: usize, most: usize| v.clamp(least as f64, most as f64) as usize;
+        let left = within(at.x, cell, self.width - wide - cell);
+        let top = within(at.y - high as f64, cell, self.height - high - cell);
+        // The dark rim of every cell first, one cell wide.
+        for (colour, rim, opacity) in [(RIM, cell, 0.7), (colour, 0, 1.0)] {
+            let mut marked = BTreeSet::new();
+            for (i, c) in text.chars().enumerate() {
+                for (row, bits) in letter(c).into_iter().enumerate() {
+                    for column in (0..WIDE).filter(|k| bits >> (WIDE - 1 - k) & 1 == 1) {
+                        let x = left + cell * (i * (WIDE + 1) + column) - rim;
+                        let y = top + cell * row - rim;
+                        let side = cell + 2 * rim;
+                        marked
+                            .extend((y..y + side).flat_map(|y| (x..x + side).map(move |x| (x, y))));
+                    }
+                }
+            }
+            for (x, y) in marked {
+                self.blend(x, y, colour, opacity);
             }
         }
+    }
+
+    /// Height of a letter, px.
+    pub fn letter_height(&self) -> f64 {
+        ((self.width.max(self.height) / 500).max(1) * lettering::HIGH) as f64
     }
 
     /// An upright cross, `radius` px from centre to tip.
@@ -93,7 +166,7 @@ impl Canvas {
 
     /// Lines stay visible when a 6000 px picture is looked at in a browser.
     fn half_width(&self) -> f64 {
-        (self.width.max(self.height) as f64 / 1600.0).max(0.6)
+        (self.width.max(self.height) as f64 / 1200.0).max(1.0)
     }
 
     fn blend(&mut self, x: usize, y: usize, colour: Colour, opacity: f64) {
@@ -129,6 +202,25 @@ mod tests {
         assert_eq!(data[3 * (2 * 9 + 4)], 255);
         assert_eq!(data[3 * 4], 0);
         assert_eq!(data[3 * (2 * 9 + 4) + 1], 0);
+    }
+
+    #[test]
+    fn letters_are_drawn_whole_and_inside_the_picture() {
+        let white = || Canvas::new(&Image::filled(60, 20, Rgb::ONE));
+        let red = |canvas: Canvas| {
+            let (.., Samples::U8 { data, .. }) = canvas.into_samples() else { panic!() };
+            data.chunks(3).filter(|p| **p == [255, 0, 0]).count()
+        };
+        // L has seven cells down and four more across, a cell is a pixel here.
+        for at in [DVec2::new(5.0, 15.0), DVec2::new(-99.0, 1e9), DVec2::new(1e9, -1e9)] {
+            let mut canvas = white();
+            canvas.text(at, "l", [255, 0, 0]);
+            assert_eq!(red(canvas), 11, "{at}");
+        }
+        let mut canvas = white();
+        canvas.text(DVec2::NAN, "L", [255, 0, 0]);
+        canvas.text(DVec2::ZERO, "far too long a text", [255, 0, 0]);
+        assert_eq!(red(canvas), 0);
     }
 
     #[test]

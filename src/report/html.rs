@@ -43,7 +43,7 @@ fn page(report: &Report, before: &str, after: &str) -> Markup {
             head {
                 meta charset="utf-8";
                 meta name="viewport" content="width=device-width";
-                title { "Platelight report" }
+                title { (name(report)) " – Platelight" }
                 style { (PreEscaped(STYLE)) }
             }
             body {
@@ -73,6 +73,18 @@ fn page(report: &Report, before: &str, after: &str) -> Markup {
             }
         }
     }
+}
+
+/// What people call the shot: its folder, or the file where that is not called shot.toml.
+fn name(report: &Report) -> String {
+    let path = report.shot.get("path").and_then(|path| path.as_str()).map(Path::new);
+    let text = |name: &std::ffi::OsStr| name.to_string_lossy().into_owned();
+    let path = path.map(|path| path.canonicalize().unwrap_or_else(|_| path.to_owned()));
+    let name = path.as_deref().and_then(|path| match path.file_stem()? {
+        stem if stem == "shot" => path.parent()?.file_name().map(text),
+        stem => Some(text(stem)),
+    });
+    name.unwrap_or_else(|| "shot".to_owned())
 }
 
 fn warnings(report: &Report) -> Markup {
@@ -134,17 +146,16 @@ fn rows(rows: &[(&str, String)]) -> Markup {
 fn camera(report: &Report) -> Markup {
     let c = &report.camera;
     let sigma = c.sigma_focal_px.map_or(String::new(), |s| format!(" ± {}", significant(s)));
-    let coefficients: Vec<String> =
-        c.distortion_coefficients.iter().map(|&k| significant(k)).collect();
     html! {
         (rows(&[
             ("from", c.source.clone()),
             ("size", format!("{} × {} px", c.size_px[0], c.size_px[1])),
+            ("plate's colour", report.plate.colour.clone()),
             ("focal length", format!("{:.2}, {:.2}{sigma} px", c.focal_px[0], c.focal_px[1])),
             ("principal point", format!("{:.2}, {:.2} px", c.principal_point_px[0], c.principal_point_px[1])),
-            ("distortion", format!("{} {}", c.distortion, coefficients.join(", "))),
-            ("projection σ over the frame", px(c.sigma_projection_px)),
-            ("residual", px(c.rms_px)),
+            ("distortion", distortion(c)),
+            ("known over the frame to", px(c.sigma_projection_px)),
+            ("residual of the corners", px(c.rms_px)),
         ]))
         @if !c.views.is_empty() {
             details {
@@ -161,6 +172,22 @@ fn camera(report: &Report) -> Markup {
             }
         }
     }
+}
+
+/// The model, what it does, and its terms; those that are 0 were not needed.
+fn distortion(camera: &CameraReport) -> String {
+    let terms: Vec<String> = camera
+        .distortion_names
+        .iter()
+        .zip(&camera.distortion_coefficients)
+        .filter(|(_, k)| **k != 0.0)
+        .map(|(name, k)| format!("{name} = {}", significant(*k)))
+        .collect();
+    let moves = camera.distortion_px.map_or(String::new(), |moved| match terms.as_slice() {
+        [] => ", no distortion".to_owned(),
+        terms => format!(", moves the corners by up to {moved:.1} px: {}", terms.join(", ")),
+    });
+    format!("{}{moves}", camera.distortion)
 }
 
 fn pose(report: &Report) -> Markup {
@@ -194,6 +221,7 @@ fn probe(report: &Report) -> Markup {
     html! {
         (rows(&[
             ("from", p.source.clone()),
+            ("its colour", p.colour.clone()),
             ("exposures t·(ISO/100)/N²", format!("{} ({})", exposures.join(", "), p.exposure_source)),
             ("radiance × this = plate", format!("{} ({})", significant(p.plate_exposure), p.plate_exposure_source)),
             ("ball", p.ball_px.map_or(String::new(), |[x, y, r]| format!("centre {x:.1}, {y:.1}, radius {r:.1} px"))),
@@ -289,8 +317,8 @@ fn significant(value: f64) -> String {
     }
     let digits = 2 - value.abs().log10().floor() as i32;
     match digits {
-        8.. => format!("{value:.2e}"),
-        0..8 => format!("{value:.*}", digits as usize),
+        6.. => format!("{value:.2e}"),
+        0..6 => format!("{value:.*}", digits as usize),
         _ => format!("{value:.0}"),
     }
 }
@@ -298,7 +326,6 @@ fn significant(value: f64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::report::Warning;
 
     #[test]
     fn the_page_shows_warnings_and_escapes_names() {
@@ -309,6 +336,13 @@ mod tests {
         assert!(page.contains("1 note,") && page.contains("nothing to do"), "notes are counted");
         assert!(page.contains("a &lt;script&gt; in a name") && page.contains("up to 3 %"));
         assert!(page.contains("before.png") && page.contains("after.png"));
+        // The heading is the shot's name, with or without a shot.toml of its own.
+        for (path, heading) in [("no/such/robot/shot.toml", "robot"), ("no/such/dusk.toml", "dusk")]
+        {
+            let report = Report { shot: serde_json::json!({ "path": path }), ..Report::default() };
+            let page = super::page(&report, "before.png", "after.png").into_string();
+            assert!(page.contains(&format!("<h1>{heading}</h1>")), "{page:.900}");
+        }
     }
 
     #[test]

@@ -5,6 +5,7 @@
 
 mod canvas;
 mod html;
+mod lettering;
 pub mod overlay;
 mod text;
 
@@ -27,6 +28,7 @@ pub struct Report {
     /// Name, size and time of every file the shot was made from, and of every file made.
     pub inputs: serde_json::Value,
     pub outputs: serde_json::Value,
+    pub plate: PlateReport,
     pub camera: CameraReport,
     pub pose: PoseReport,
     pub probe: ProbeReport,
@@ -36,6 +38,7 @@ pub struct Report {
     /// Seconds of every stage, in order.
     pub stages: Vec<Stage>,
     pub budget: Budget,
+    /// What somebody should look at or mend.
     pub warnings: Vec<Warning>,
     /// What is good to know and asks for nothing.
     pub notes: Vec<Warning>,
@@ -88,6 +91,14 @@ impl std::fmt::Display for Warning {
     }
 }
 
+/// The photograph that the objects were put into.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct PlateReport {
+    pub file: PathBuf,
+    /// How its numbers stand for light, and who said so.
+    pub colour: String,
+}
+
 /// The plate camera's lens.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct CameraReport {
@@ -101,6 +112,10 @@ pub struct CameraReport {
     /// Name of the lens model and its coefficients.
     pub distortion: String,
     pub distortion_coefficients: Vec<f64>,
+    /// What they are called.
+    pub distortion_names: Vec<&'static str>,
+    /// How far the distortion moves the corner of the picture that it moves most.
+    pub distortion_px: Option<f64>,
     /// Standard deviation of a projected point over the picture, if it was measured.
     pub sigma_projection_px: Option<f64>,
     pub rms_px: Option<f64>,
@@ -134,6 +149,8 @@ pub struct PoseReport {
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct ProbeReport {
     pub source: String,
+    /// How its files' numbers stand for light, and who said so.
+    pub colour: String,
     /// Relative exposures t · (ISO/100) / N² of the frames, and who said so.
     pub exposures: Vec<f64>,
     pub exposure_source: String,

@@ -12,6 +12,7 @@ const GREEN: Colour = [64, 220, 64];
 const BLUE: Colour = [80, 140, 255];
 const WHITE: Colour = [255, 255, 255];
 const YELLOW: Colour = [255, 220, 0];
+const CYAN: Colour = [0, 235, 255];
 
 /// A plane rectangle in the world that stands for the support.
 #[derive(Clone, Copy, Debug)]
@@ -24,7 +25,7 @@ pub struct Ground {
 }
 
 /// Draws the support as a grid of `step` metres and the world's axes (X red, Y green, Z blue, one
-/// step long) from `origin`.
+/// step long, which is written beside them) from `origin`.
 pub fn support(canvas: &mut Canvas, camera: &Camera, ground: &Ground, origin: DVec3, step: f64) {
     for (along, across) in [(0, 1), (1, 0)] {
         // At most 40 lines a side: more would hide the photograph.
@@ -33,11 +34,65 @@ pub fn support(canvas: &mut Canvas, camera: &Camera, ground: &Ground, origin: DV
             let offset = ground.sides[across] * (i as f64 * ground.half_size[across] / n as f64);
             let reach = ground.sides[along] * ground.half_size[along];
             let start = ground.centre + offset;
-            segment(canvas, camera, start - reach, start + reach, WHITE);
+            let points = seen(camera, start - reach, start + reach);
+            if i.abs() == n {
+                canvas.path(&points, WHITE);
+            } else {
+                canvas.faint_path(&points, WHITE);
+            }
         }
     }
-    for (axis, colour) in [(DVec3::X, RED), (DVec3::Y, GREEN), (DVec3::Z, BLUE)] {
-        segment(canvas, camera, origin, origin + axis * step, colour);
+    for (axis, colour, name) in
+        [(DVec3::X, RED, "X"), (DVec3::Y, GREEN, "Y"), (DVec3::Z, BLUE, "Z")]
+    {
+        let tip = origin + axis * step;
+        canvas.path(&seen(camera, origin, tip), colour);
+        let name = if name == "X" { format!("X {}", length(step)) } else { name.to_owned() };
+        label_beyond(canvas, camera, [origin, tip], &name, colour);
+    }
+}
+
+/// Draws the edges of an object's box, its corners counted in binary (x, y, z), and its name.
+pub fn object_box(canvas: &mut Canvas, camera: &Camera, corners: &[DVec3; 8], name: &str) {
+    for i in 0..8 {
+        for axis in [1, 2, 4].into_iter().filter(|axis| i & axis == 0) {
+            canvas.path(&seen(camera, corners[i], corners[i | axis]), CYAN);
+        }
+    }
+    let middle = corners.iter().sum::<DVec3>() / 8.0;
+    let top = corners.iter().map(|c| c.y).fold(f64::NEG_INFINITY, f64::max);
+    label(canvas, camera, DVec3::new(middle.x, top, middle.z), name, CYAN);
+}
+
+/// Writes beside a world point, if the picture shows it.
+fn label(canvas: &mut Canvas, camera: &Camera, at: DVec3, text: &str, colour: Colour) {
+    let Some(at) = camera.project_world(at).filter(|p| in_frame(camera, *p)) else { return };
+    let gap = 0.5 * canvas.letter_height();
+    canvas.text(at + DVec2::new(gap, -gap), text, colour);
+}
+
+/// Writes where a line from the first to the second point would go on.
+fn label_beyond(
+    canvas: &mut Canvas,
+    camera: &Camera,
+    line: [DVec3; 2],
+    text: &str,
+    colour: Colour,
+) {
+    let [from, to] = line.map(|point| camera.project_world(point));
+    let (Some(from), Some(to)) = (from, to.filter(|p| in_frame(camera, *p))) else { return };
+    let high = canvas.letter_height();
+    let middle = to + (to - from).normalize_or(DVec2::X) * high;
+    // The first letter's middle; the others follow to the right.
+    canvas.text(middle + DVec2::new(-0.35, 0.5) * high, text, colour);
+}
+
+/// "20 cm", "5 mm", "1 m".
+fn length(metres: f64) -> String {
+    match metres {
+        m if m < 0.0099 => format!("{:.1} mm", 1000.0 * m),
+        m if m < 0.99 => format!("{:.0} cm", 100.0 * m),
+        m => format!("{m:.0} m"),
     }
 }
 
@@ -56,8 +111,9 @@ pub fn shadow_direction(
     }
     let tip = foot + DVec3::Y * height;
     let shadow_tip = tip - toward_sun * (height / toward_sun.y);
-    segment(canvas, camera, foot, tip, GREEN);
-    segment(canvas, camera, foot, shadow_tip, YELLOW);
+    canvas.path(&seen(camera, foot, tip), GREEN);
+    canvas.path(&seen(camera, foot, shadow_tip), YELLOW);
+    label(canvas, camera, shadow_tip, "shadow", YELLOW);
 }
 
 /// Draws the horizon: where level directions are seen.
@@ -71,6 +127,11 @@ pub fn horizon(canvas: &mut Canvas, camera: &Camera) {
         .map(|point| point.filter(|p| near_frame(camera, *p)))
         .collect();
     canvas.path(&points, YELLOW);
+    let leftmost = points.iter().flatten().filter(|p| in_frame(camera, **p));
+    if let Some(at) = leftmost.min_by(|a, b| a.x.total_cmp(&b.x)) {
+        // Below the line: it is often at the upper edge.
+        canvas.text(*at + DVec2::Y * 2.0 * canvas.letter_height(), "horizon", YELLOW);
+    }
 }
 
 /// Draws the rim of a ball: the tangent cone of half-angle `half_angle` round `axis` (unit, camera
@@ -86,28 +147,32 @@ pub fn rim(canvas: &mut Canvas, camera: &Camera, axis: DVec3, half_angle: f64) {
         .collect();
     canvas.path(&points, YELLOW);
     if let Some(centre) = camera.lens.project(axis) {
-        canvas.cross(centre, 6.0, YELLOW);
+        canvas.cross(centre, canvas.letter_height(), YELLOW);
     }
 }
 
 /// Draws measured points as green circles and where the model expects them as red crosses.
 pub fn corners(canvas: &mut Canvas, measured: &[DVec2], expected: &[Option<DVec2>]) {
+    let radius = 0.7 * canvas.letter_height();
     for &point in measured {
-        canvas.circle(point, 5.0, GREEN);
+        canvas.circle(point, radius, GREEN);
     }
     for point in expected.iter().flatten() {
-        canvas.cross(*point, 3.0, RED);
+        canvas.cross(*point, 0.6 * radius, RED);
     }
 }
 
-/// Draws a world line as the lens shows it: bent by distortion, cut where it is not seen.
-fn segment(canvas: &mut Canvas, camera: &Camera, from: DVec3, to: DVec3, colour: Colour) {
+/// A world line as the lens shows it: bent by distortion, cut where it is not seen.
+fn seen(camera: &Camera, from: DVec3, to: DVec3) -> Vec<Option<DVec2>> {
     const PIECES: usize = 64;
-    let points: Vec<_> = (0..=PIECES)
+    (0..=PIECES)
         .map(|i| camera.project_world(from.lerp(to, i as f64 / PIECES as f64)))
         .map(|point| point.filter(|p| near_frame(camera, *p)))
-        .collect();
-    canvas.path(&points, colour);
+        .collect()
+}
+
+fn in_frame(camera: &Camera, p: DVec2) -> bool {
+    p.x >= 0.0 && p.y >= 0.0 && p.x < camera.width as f64 && p.y < camera.height as f64
 }
 
 /// Far outside the frame a lens model says nothing, and lines would cross the picture at random.

@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use glam::DVec2;
 use rayon::prelude::*;
 
 use super::camera_keys::{Board, CameraSource};
@@ -150,7 +151,7 @@ pub fn from_boards(files: &[PathBuf], board: &Board) -> Result<(FoundLens, Facts
     warnings.extend(clipped_boards(&seen));
     let facts = seen[views[0].0].facts.clone();
     let mut out = plain(found.lens, size[0], size[1], &format!("{used} photographs of a board"));
-    out.report.distortion = found.model;
+    out.report.distortion += &format!(" (free: {})", found.model);
     out.report.sigma_projection_px = Some(found.sigma_projection_px);
     out.report.rms_px = Some(found.rms_px);
     out.report.views = reports;
@@ -257,6 +258,15 @@ impl FoundLens {
         self.report.sigma_focal_px = lens.sigmas().map(|s| s[0]);
         self.report.principal_point_px = [lens.cx, lens.cy];
         self.report.distortion_coefficients = lens.distortion.coefficients();
+        self.report.distortion_names = lens.distortion.names().to_vec();
+        let straight = Lens { distortion: Distortion::None, covariance: None, ..lens.clone() };
+        let (right, below) = (self.width as f64 - 1.0, self.height as f64 - 1.0);
+        let corners = [(0.0, 0.0), (right, 0.0), (0.0, below), (right, below)];
+        let moved = corners.into_iter().filter_map(|corner| {
+            let corner = DVec2::from(corner);
+            Some(straight.project(lens.unproject(corner)?)?.distance(corner))
+        });
+        self.report.distortion_px = moved.reduce(f64::max);
     }
 }
 

@@ -16,7 +16,7 @@ use crate::conventions::Rgb;
 use crate::photo::Image;
 use crate::probe;
 use crate::render::Difference;
-use crate::report::{self, CompositeReport, Picture, RenderReport, Report, Warning};
+use crate::report::{self, CompositeReport, Picture, PlateReport, RenderReport, Report, Warning};
 use crate::scene::{AlbedoSource, Scene};
 
 /// What a finished rendering leaves.
@@ -121,6 +121,7 @@ pub fn finish(
         seed,
         inputs: serde_json::to_value(&inputs).unwrap_or_default(),
         outputs: outputs.marks(),
+        plate: PlateReport { file: plate.path.clone(), colour: plate.encoding.to_string() },
         camera: prepared.camera_report.clone(),
         pose: prepared.pose_report.clone(),
         probe: prepared.probe_report.clone(),

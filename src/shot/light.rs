@@ -233,7 +233,8 @@ fn take_panorama(keys: &PanoramaKeys) -> Result<Unwrapped, String> {
     });
     let warnings = negative.into_iter().chain(remarks).collect();
     let source = format!("panorama {}", keys.file.display());
-    let report = ProbeReport { source, ..ProbeReport::default() };
+    let colour = read.encoding.to_string();
+    let report = ProbeReport { source, colour, ..ProbeReport::default() };
     Ok(Unwrapped { panorama, ball: None, report, warnings })
 }
 
@@ -257,6 +258,9 @@ pub fn light(
     let Scale { factor, source } = &plan.scale;
     let mut panorama = panorama.scaled(*factor as f32);
     let sigma_irradiance = sigma_irradiance(&panorama);
+    if let Some(photo) = plan.probe_photos.first() {
+        report.colour = photo.encoding.to_string();
+    }
     report.exposures = plan.exposures.values.clone();
     report.exposure_source = plan.exposures.source.to_owned();
     report.plate_exposure = *factor;
@@ -322,7 +326,7 @@ fn judge_clipped(
         regions.into_iter().partition(|region| share(region) >= NEGLIGIBLE_SHARE);
     if !small.is_empty() {
         let sum: f64 = small.iter().map(share).sum();
-        warnings.push(Warning::new(
+        let said = Warning::new(
             "probe",
             format!(
                 "{} small lights are clipped in every exposure and taken as they are",

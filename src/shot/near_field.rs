@@ -71,7 +71,7 @@ fn warning(key: &str, what: &str, distance: f64, reach: f64) -> Warning {
     } else {
         "light on the objects off by 100 % or more".to_owned()
     };
-    Warning::new(
+    let said = Warning::new(
         key,
         format!(
             "{what} is {distance:.2} m from the probe and the objects reach {reach:.2} m from it; \

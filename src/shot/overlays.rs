@@ -35,6 +35,9 @@ fn support(plan: &Plan, prepared: &Prepared) -> Overlay {
     if let Some(ground) = place::ground(plan) {
         overlay::support(&mut canvas, camera, &ground, foot, step);
     }
+    for (name, corners) in place::object_boxes(plan) {
+        overlay::object_box(&mut canvas, camera, &corners, name);
+    }
     overlay::horizon(&mut canvas, camera);
     let strongest = prepared.light.lights.suns.iter().max_by(|a, b| a.flux().total_cmp(&b.flux()));
     if let Some(sun) = strongest {
@@ -43,9 +46,9 @@ fn support(plan: &Plan, prepared: &Prepared) -> Overlay {
     }
     Overlay {
         name: "overlay_support",
-        title: "Support, axes and shadow over the plate",
-        caption: "White: the modelled support. Red, green, blue: the world's X, Y, Z. Yellow: the \
-                  horizon, and the shadow of an upright stick in the strongest small light; compare \
+        title: "Support, axes, objects and shadow over the plate",
+        caption: "White: the modelled support. Cyan: the objects' boxes. Red, green, blue: the world's X, \
+                  Y, Z, as long as is written beside X. Yellow: the horizon, and the shadow of an upright stick in the strongest small light; compare \
                   it with real shadows.",
         canvas,
     }

@@ -51,6 +51,19 @@ fn placed_objects(plan: &Plan) -> Vec<(&Model, DAffine3)> {
     objects.map(|(object, model)| (model, world_from_model(object))).collect()
 }
 
+/// Name and box of every object: the box of its own axes, placed; corners counted in binary (x, y, z).
+pub fn object_boxes(plan: &Plan) -> Vec<(&str, [DVec3; 8])> {
+    let boxes = placed_objects(plan).into_iter().filter_map(|(model, at)| {
+        let ends = model.bounds(&DAffine3::IDENTITY)?;
+        let corner = |i: usize| {
+            let [x, y, z] = [i & 1, i >> 1 & 1, i >> 2 & 1];
+            at.transform_point3(DVec3::new(ends[x].x, ends[y].y, ends[z].z))
+        };
+        Some((model.name.as_str(), std::array::from_fn(corner)))
+    });
+    boxes.collect()
+}
+
 /// World box of the objects; `None` without any.
 pub fn object_box(plan: &Plan) -> Option<[DVec3; 2]> {
     let boxes = placed_objects(plan).into_iter().filter_map(|(model, at)| model.bounds(&at));

@@ -206,6 +206,8 @@ pub fn calibrate(
 }
 
 fn warning(warning: &LensWarning, sigma_px: f64) -> Warning {
+    /// What is put into the frame is not seen to stand beside its place by less than this.
+    const SEEN_PX: f64 = 0.5;
     let size = match warning {
         LensWarning::RungsDisagree { apart_px, .. } => format!("{apart_px:.2} px over the frame"),
         LensWarning::Extrapolated { max_px, .. } => {
