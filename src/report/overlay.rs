@@ -42,13 +42,15 @@ pub fn support(canvas: &mut Canvas, camera: &Camera, ground: &Ground, origin: DV
             }
         }
     }
-    for (axis, colour, name) in
-        [(DVec3::X, RED, "X"), (DVec3::Y, GREEN, "Y"), (DVec3::Z, BLUE, "Z")]
-    {
+    let axes = [(DVec3::X, RED, "X"), (DVec3::Y, GREEN, "Y"), (DVec3::Z, BLUE, "Z")];
+    for (axis, colour, name) in axes {
         let tip = origin + axis * step;
-        canvas.path(&seen(camera, origin, tip), colour);
         let name = if name == "X" { format!("X {}", length(step)) } else { name.to_owned() };
         label_beyond(canvas, camera, [origin, tip], &name, colour);
+    }
+    // After the letters, which in a small picture lie on them.
+    for (axis, colour, _) in axes {
+        canvas.path(&seen(camera, origin, origin + axis * step), colour);
     }
 }
 
