@@ -134,7 +134,6 @@ fn run_one(
         shot.render.stop = stop;
     }
     let settings = serde_json::to_value(&shot).unwrap_or_default();
-    let begun = Instant::now();
     check_folder(&files.folder)?;
     let mut stopwatch = Stopwatch::new();
     stopwatch.begin("read the shot", watch);
@@ -156,7 +155,7 @@ fn run_one(
         watch.warning(warning);
     }
     stopwatch.begin("render", watch);
-    let (difference, render) = render_shot(plan, prepared, files, context, begun, watch)?;
+    let (difference, render) = render_shot(plan, prepared, files, context, &stopwatch, watch)?;
 
     stopwatch.begin("composite and report", watch);
     let done = Finish { plan, prepared, difference, render, settings, inputs, seed: context.seed };
@@ -203,14 +202,19 @@ fn make_folder(folder: &Path) -> Result<(), RunError> {
 }
 
 /// What of a time limit is left for the waves: preparation is over, and the results want to be written.
-fn time_to_render(limit: f64, begun: Instant, plan: &Plan, prepared: &Prepared) -> f64 {
+fn time_to_render(limit: f64, so_far: &Stopwatch, plan: &Plan, prepared: &Prepared) -> f64 {
     /// Seconds for composite, layers and overlays of a megapixel, and for one of the panorama: measured on
     /// plates of 0.8 and 8 megapixels.
     const WRITING: [f64; 2] = [3.0, 0.6];
+    /// Where no time is left the renderer still takes its first samples.
+    const LEAST: f64 = 1e-3;
     let megapixels = |picture: &Image<Rgb>| picture.pixels().len() as f64 * 1e-6;
     let plate = WRITING[0] * megapixels(&plan.plate.linear);
     let panorama = WRITING[1] * megapixels(&prepared.light.panorama.radiance);
-    limit - begun.elapsed().as_secs_f64() - plate - panorama
+    let (elapsed, worked) = so_far.elapsed();
+    // On a busy machine preparation took longer than its own work, and writing will.
+    let busy = worked.map_or(1.0, |worked| (elapsed / worked.max(1e-3)).clamp(1.0, 4.0));
+    (limit - elapsed - busy * (plate + panorama)).max(LEAST)
 }
 
 /// Renders until the stopping rule is met; the first wave's picture is written at once.
@@ -219,14 +223,14 @@ fn render_shot(
     prepared: &Prepared,
     files: &OutFiles,
     context: &Context,
-    begun: Instant,
+    stopwatch: &Stopwatch,
     watch: &dyn Watch,
 ) -> Result<(Difference, RenderReport), RunError> {
     let (wall, cpu) = (Instant::now(), cpu_seconds());
     let stop = match plan.shot.render.stop {
         StopKeys::Error(error) => Stop::Error(error),
         StopKeys::Time(seconds) => {
-            Stop::TimeSeconds(time_to_render(seconds, begun, plan, prepared).max(0.0))
+            Stop::TimeSeconds(time_to_render(seconds, stopwatch, plan, prepared))
         }
         StopKeys::Samples(samples) => Stop::Samples(samples),
     };

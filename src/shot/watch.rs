@@ -28,13 +28,21 @@ impl Watch for Silent {
 
 /// Times the stages of a run.
 pub struct Stopwatch {
+    begun: (Instant, Option<f64>),
     stages: Vec<Stage>,
     current: Option<(String, Instant, Option<f64>)>,
 }
 
 impl Stopwatch {
     pub fn new() -> Self {
-        Self { stages: Vec::new(), current: None }
+        Self { begun: (Instant::now(), cpu_seconds()), stages: Vec::new(), current: None }
+    }
+
+    /// Seconds on the clock since it was made, and of all cores together.
+    pub fn elapsed(&self) -> (f64, Option<f64>) {
+        let (begun, cpu_begun) = self.begun;
+        let worked = cpu_seconds().zip(cpu_begun).map(|(now, begun)| now - begun);
+        (begun.elapsed().as_secs_f64(), worked)
     }
 
     /// Ends the stage before and begins one.
