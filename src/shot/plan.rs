@@ -199,6 +199,9 @@ impl Plan {
             check_exif_camera(&shot, plate, &mut find);
         }
         let (probe_photos, exposures) = read_probe(&shot, &mut find);
+        if let Some(plate) = &plate {
+            check_ball_frame(&shot, plate, &probe_photos, &mut find);
+        }
         if let (PlateColour::Bracket, Some(plate)) = (&shot.plate.colour, &plate) {
             check_one_camera(plate, &probe_photos, &mut find);
         }
@@ -411,6 +414,21 @@ fn check_one_camera(plate: &Photo, bracket: &[Photo], find: &mut Finder) {
     if let Some(other) = bracket.iter().find(|photo| camera(photo) != camera(plate)) {
         let cause = format!("was taken by another camera than the plate; {remedy}");
         find.problem(key, &other.path, &cause);
+    }
+}
+
+/// Photographs of the ball through the plate's lens have the plate's size, or are a cut-out.
+fn check_ball_frame(shot: &ShotFile, plate: &Photo, photos: &[Photo], find: &mut Finder) {
+    let ProbeSource::Ball(ball) = &shot.probe.source else { return };
+    let size = |photo: &Photo| [photo.linear.width(), photo.linear.height()];
+    let Some(photo) = photos.first().filter(|photo| size(photo) != size(plate)) else { return };
+    if ball.camera.is_none() && ball.crop.is_none() {
+        let ([w, h], [width, height]) = (size(photo), size(plate));
+        let cause = format!(
+            "{w} × {h} px, but the plate has {width} × {height} px; if it is a cut-out, say crop = {{ x = …, \
+             y = …, scale = … }}; if it is of another camera or setting, describe that as camera"
+        );
+        find.problem("probe.ball.photos", &photo.path.clone(), &cause);
     }
 }
 
