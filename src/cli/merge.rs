@@ -117,7 +117,8 @@ pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
     };
     let merged = bracket::merge(&frames, &merge_options)?;
     for warning in &merged.warnings {
-        global.warn(&warning.to_string());
+        let word = if warning.asks() { "warning" } else { "note" };
+        global.say(&format!("{word}: {warning}"));
     }
     global.go_on()?;
     bracket::file::write(&args.out, &merged)?;

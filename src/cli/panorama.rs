@@ -353,7 +353,8 @@ fn radiance(
     let frames: Vec<Frame> =
         photos.iter().zip(&exposures).map(|(photo, &exposure)| Frame { photo, exposure }).collect();
     let merged = bracket::merge(&frames, &MergeOptions::default())?;
-    warnings.extend(merged.warnings.iter().map(ToString::to_string));
+    let asking = merged.warnings.iter().filter(|warning| warning.asks());
+    warnings.extend(asking.map(ToString::to_string));
     Ok(merged.radiance)
 }
 
@@ -479,7 +480,7 @@ fn text(summary: &Summary) -> String {
         ));
     }
     let [r, g, b] = summary.irradiance_up;
-    lines.push(format!("  irradiance from above {r:.4} {g:.4} {b:.4}"));
+    lines.push(format!("  irradiance from above {r:.4} {g:.4} {b:.4} (linear value / exposure)"));
     if summary.filled > 0.0 {
         lines.push(format!(
             "  not seen and filled: {:.1} % of all directions",
