@@ -293,7 +293,7 @@ fn border_warning(
          the real surface goes on, make the support larger",
         format!("{share:.0} % of its border, more than 1 % of the plate there"),
     );
-    (share > 1.0).then(|| Warning { asks: share > BORDER_SEEN_PERCENT, ..said })
+    (share > 1.0).then_some(Warning { asks: share > BORDER_SEEN_PERCENT, ..said })
 }
 
 /// The albedos that were solved from the plate; those that somebody gave say nothing of its light.
