@@ -269,7 +269,15 @@ fn render(report: &Report) -> Markup {
         ("method", r.method.clone()),
         ("stop at", r.stop.clone()),
         ("error reached", format!("{} of the plate", per_cent(r.error))),
-        ("camera samples", format!("{} in {} waves, {:.1} s{cpu}", r.samples, r.waves, r.seconds)),
+        (
+            "camera samples",
+            format!(
+                "{} in {}, {:.1} s{cpu}",
+                r.samples,
+                counted(r.waves as usize, "wave"),
+                r.seconds
+            ),
+        ),
         ("ended early", if r.complete { String::new() } else { "stopped by the user".to_owned() }),
         ("mode", format!("{}: {}", c.mode, c.reason)),
         ("changed", format!("{} px", c.tally.changed)),
