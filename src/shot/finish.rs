@@ -78,7 +78,7 @@ pub fn finish(
     warnings.extend(composite_warnings(&composite, encoded.clamped));
     // An object that no pixel shows was told of before; here is one that shows and changes nothing.
     let told = warnings.iter().any(|warning| warning.about.starts_with("object["));
-    if composite.tally.changed == 0 && !plan.objects.is_empty() && !told {
+    if composite.tally.changed == 0 && !plan.objects.is_empty() && !told && render.missing == 0 {
         warnings.push(Warning::new(
             "object",
             "no object changes a pixel, though all stand in the picture: look at their materials and \

@@ -206,15 +206,16 @@ fn time_to_render(limit: f64, so_far: &Stopwatch, plan: &Plan, prepared: &Prepar
     /// Seconds for composite, layers and overlays of a megapixel, and for one of the panorama: measured on
     /// plates of 0.8 and 8 megapixels.
     const WRITING: [f64; 2] = [3.0, 0.6];
-    /// Where no time is left the renderer still takes its first samples.
-    const LEAST: f64 = 1e-3;
+    /// Where preparation left less than this share of the limit the waves get it all the same: a plate
+    /// without its objects is not what anybody asked for.
+    const LEAST: f64 = 0.1;
     let megapixels = |picture: &Image<Rgb>| picture.pixels().len() as f64 * 1e-6;
     let plate = WRITING[0] * megapixels(&plan.plate.linear);
     let panorama = WRITING[1] * megapixels(&prepared.light.panorama.radiance);
     let (elapsed, worked) = so_far.elapsed();
     // On a busy machine preparation took longer than its own work, and writing will.
     let busy = worked.map_or(1.0, |worked| (elapsed / worked.max(1e-3)).clamp(1.0, 4.0));
-    (limit - elapsed - busy * (plate + panorama)).max(LEAST)
+    (limit - elapsed - busy * (plate + panorama)).max(LEAST * limit)
 }
 
 /// Renders until the stopping rule is met; the first wave's picture is written at once.
