@@ -203,9 +203,9 @@ fn make_folder(folder: &Path) -> Result<(), RunError> {
 
 /// What of a time limit is left for the waves: preparation is over, and the results want to be written.
 fn time_to_render(limit: f64, so_far: &Stopwatch, plan: &Plan, prepared: &Prepared) -> f64 {
-    /// Seconds for composite, layers and overlays of a megapixel, and for one of the panorama: measured on
-    /// plates of 0.8 and 8 megapixels.
-    const WRITING: [f64; 2] = [3.0, 0.6];
+    /// Seconds for composite, layers and overlays of a megapixel, for one of the panorama, and for the
+    /// rest: measured on plates of 0.8 and 8 megapixels.
+    const WRITING: [f64; 3] = [3.0, 0.6, 1.3];
     /// Where preparation left less than this share of the limit the waves get it all the same: a plate
     /// without its objects is not what anybody asked for.
     const LEAST: f64 = 0.1;
@@ -215,7 +215,7 @@ fn time_to_render(limit: f64, so_far: &Stopwatch, plan: &Plan, prepared: &Prepar
     let (elapsed, worked) = so_far.elapsed();
     // On a busy machine preparation took longer than its own work, and writing will.
     let busy = worked.map_or(1.0, |worked| (elapsed / worked.max(1e-3)).clamp(1.0, 4.0));
-    (limit - elapsed - busy * (plate + panorama)).max(LEAST * limit)
+    (limit - elapsed - busy * (plate + panorama + WRITING[2])).max(LEAST * limit)
 }
 
 /// Renders until the stopping rule is met; the first wave's picture is written at once.
