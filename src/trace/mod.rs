@@ -7,6 +7,7 @@
 //! instruction set. The tree only skips boxes that cannot hold a hit.
 
 pub mod accel;
+mod crowd;
 mod kernel;
 mod traverse;
 mod triangle;
