@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use serde::Serialize;
 
-use super::error::check_outputs;
+use super::error::{check_outputs, refuse_repeated};
 use super::{CliError, Global, Outcome, targets};
 use crate::camera::{Camera, Pose, file};
 use crate::report::{CameraReport, Warning};
@@ -58,6 +58,7 @@ pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
                 .map_err(|cause| CliError::wrong(format!("{}: {cause}", photo.display())))?,
         );
     }
+    refuse_repeated(&files)?;
     let photos: Vec<&std::path::Path> = files.iter().map(PathBuf::as_path).collect();
     check_outputs(&photos, &[&args.out])?;
     let (found, _) = calibrate::from_boards(&files, &board)?;

@@ -1,7 +1,8 @@
 //! What a command says when it cannot do what was asked.
 
+use std::collections::HashSet;
 use std::error::Error;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use super::Outcome;
 use crate::photo::atomic;
@@ -46,6 +47,19 @@ pub(super) fn check_outputs(inputs: &[&Path], outputs: &[&Path]) -> Result<(), C
         }
     }
     Ok(())
+}
+
+/// A photograph named twice would count as two views.
+pub(super) fn refuse_repeated(inputs: &[PathBuf]) -> Result<(), CliError> {
+    let mut seen = HashSet::new();
+    let place = |path: &Path| std::fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
+    match inputs.iter().find(|input| !seen.insert(place(input))) {
+        None => Ok(()),
+        Some(twice) => {
+            let path = twice.display();
+            Err(CliError::wrong(format!("{path}: is named twice; name each photograph once")))
+        }
+    }
 }
 
 /// A name's ending must be that of what is written: a picture named otherwise is opened as what it

@@ -215,11 +215,11 @@ pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
     let further = [&args.preview, &args.overlay].into_iter().flatten();
     let outputs: Vec<&Path> =
         [&args.out].into_iter().chain(further).map(PathBuf::as_path).collect();
+    check_outputs(&photos, &outputs)?;
     check_ending(&args.out, "exr")?;
     for png in [&args.preview, &args.overlay].into_iter().flatten() {
         check_ending(png, "png")?;
     }
-    check_outputs(&photos, &outputs)?;
     if args.overlay.is_some() && !args.kind.ball {
         return Err(CliError::wrong("--overlay draws a ball's rim; only --ball has one"));
     }
@@ -367,7 +367,7 @@ fn fisheye(wishes: &Wishes, kind: FisheyeKind, w: usize, h: usize) -> Result<Fis
         FisheyeKind::Orthographic => Projection::Orthographic,
     };
     Ok(match wishes.circle {
-        Some([u, v, r]) => Fisheye::new(projection, fov, DVec2::new(u, v), r)?,
+        Some([u, v, r]) => Fisheye::new(projection, fov, DVec2::new(u, v), r)?.seen_in(w, h)?,
         None => Fisheye::inscribed(projection, fov, w, h)?,
     })
 }
@@ -412,7 +412,10 @@ fn triple(option: &str, values: Option<&[f64]>) -> Result<Option<[f64; 3]>, CliE
     let three = values.try_into().map_err(|_| {
         CliError::wrong(format!("{option}: {} numbers were given, three are needed", values.len()))
     })?;
-    Ok(Some(three))
+    let finite = |three: &[f64; 3]| three.iter().all(|v| v.is_finite());
+    let three = Some(three).filter(finite);
+    let wrong = || CliError::wrong(format!("{option}: {values:?} are not three finite numbers"));
+    three.ok_or_else(wrong).map(Some)
 }
 
 fn write_png(path: &Path, shown: &Image<Rgb>) -> Result<(), CliError> {

@@ -26,8 +26,11 @@ pub struct Ball {
     pub reflectance: Rgb,
 }
 
+/// Radii of mirror balls, from a bead to a dome, m.
+const RADII_M: std::ops::RangeInclusive<f64> = 1e-4..=100.0;
+
 impl Ball {
-    /// A ball of finite place, positive radius and reflectance in (0, 1].
+    /// A ball of finite place, a radius that balls have and reflectance in (0, 1].
     pub fn new(centre: DVec3, radius: f64, reflectance: Rgb) -> Result<Self, ProbeError> {
         if !centre.is_finite() {
             let found = format!("{centre}");
@@ -37,12 +40,12 @@ impl Ball {
                 expected: "a place in metres",
             });
         }
-        if !(radius > 0.0 && radius.is_finite()) {
-            let found = radius.to_string();
+        if !RADII_M.contains(&radius) {
+            let found = format!("{radius:?}");
             return Err(ProbeError::Value {
                 what: "ball.radius",
                 found,
-                expected: "a positive length in metres",
+                expected: "a length between 0.1 mm and 100 m, in metres",
             });
         }
         let share = |r: f32| r > 0.0 && r <= 1.0;

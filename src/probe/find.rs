@@ -140,10 +140,10 @@ fn check(picture: &Image<Rgb>, hints: &Hints) -> Result<(), ProbeError> {
         return Err(ProbeError::NoBall { reason });
     }
     if let Some(hint) = hints.circle_px
-        && !(hint.iter().all(|x| x.is_finite()) && hint[2] >= 5.0)
+        && !is_in(hint, (w, h))
     {
         let found = format!("{hint:?}");
-        let expected = "u, v and r in pixels with a radius of 5 or more";
+        let expected = "u, v and r in pixels of a circle of radius 5 or more in this picture";
         return Err(ProbeError::Value { what: "the ball's hint", found, expected });
     }
     if let Some(plate) = hints.clean_plate
@@ -154,6 +154,14 @@ fn check(picture: &Image<Rgb>, hints: &Hints) -> Result<(), ProbeError> {
         return Err(ProbeError::Value { what: "the clean plate", found, expected });
     }
     Ok(())
+}
+
+/// Whether a circle has a size that can be searched and shows in the picture.
+fn is_in([u, v, r]: [f64; 3], (w, h): (usize, usize)) -> bool {
+    let (right, bottom) = (w as f64, h as f64);
+    (5.0..=right.max(bottom)).contains(&r)
+        && (-r..=right + r).contains(&u)
+        && (-r..=bottom + r).contains(&v)
 }
 
 /// Stereographic plane of a lens: `2 f tan(θ/2)`, px of the picture near the axis, y down.
@@ -498,6 +506,17 @@ mod tests {
             let found = find(&picture, &lens, &hints).unwrap();
             let (centre, radius) = error_px(&found, &lens, axis);
             assert!(centre < 1.3 && radius.abs() < 1.0, "{centre} px, {radius} px: {found:?}");
+        }
+    }
+
+    #[test]
+    fn a_hint_that_no_circle_of_the_picture_is_is_refused_at_once() {
+        let picture = Image::filled(60, 40, Rgb::splat(0.5));
+        let lens = Lens::pinhole(60.0, 60, 40);
+        for hint in [[1e9; 3], [30.0, 20.0, 1e9], [f64::NAN, 1.0, 6.0], [300.0, 20.0, 9.0]] {
+            let hints = Hints { circle_px: Some(hint), ..Hints::default() };
+            let said = find(&picture, &lens, &hints).unwrap_err().to_string();
+            assert!(said.contains("hint"), "{hint:?}: {said}");
         }
     }
 

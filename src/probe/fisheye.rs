@@ -76,6 +76,9 @@ pub struct Fisheye {
     edge_rad: f64,
 }
 
+/// Centre and radius of an image circle lie within this, px: several times the longest picture.
+const LARGEST_PX: f64 = 1e6;
+
 impl Fisheye {
     /// The fisheye whose image circle (`centre`, `radius_px`) spans `fov_deg` from edge to edge.
     pub fn new(
@@ -92,15 +95,31 @@ impl Fisheye {
                 expected: "above 0° and within 180° (orthographic), 342° (stereographic) or 360°",
             });
         }
-        if !(radius_px >= 1.0 && radius_px.is_finite() && centre.is_finite()) {
+        let near = centre.abs().max_element() <= LARGEST_PX;
+        if !((1.0..=LARGEST_PX).contains(&radius_px) && near) {
             return Err(ProbeError::Value {
                 what: "the fisheye's image circle (circle_px)",
-                found: format!("{centre}, {radius_px}"),
-                expected: "a centre u, v and a radius of at least one pixel",
+                found: format!("[{:?}, {:?}], {radius_px:?}", centre.x, centre.y),
+                expected: "a centre u, v and a radius of at least one pixel, in or near the picture",
             });
         }
         let focal_px = radius_px / projection.radius(edge_rad);
         Ok(Self { projection, focal_px, centre, edge_rad })
+    }
+
+    /// The same fisheye, if its circle shows in a `width` × `height` picture.
+    pub fn seen_in(self, width: usize, height: usize) -> Result<Self, ProbeError> {
+        let DVec2 { x, y } = self.centre;
+        let reach = self.focal_px * self.projection.radius(self.edge_rad);
+        let shows = |at: f64, size: usize| (-reach..=size as f64 + reach).contains(&at);
+        if shows(x, width) && shows(y, height) {
+            return Ok(self);
+        }
+        Err(ProbeError::Value {
+            what: "the fisheye's image circle (circle_px)",
+            found: format!("[{x:?}, {y:?}], {reach:?}"),
+            expected: "a circle that lies in the picture",
+        })
     }
 
     /// The fisheye whose image circle is inscribed in a `width` × `height` picture.
@@ -159,6 +178,20 @@ mod tests {
         (Projection::Stereographic, 220.0),
         (Projection::Orthographic, 180.0),
     ];
+
+    #[test]
+    fn circles_that_show_nowhere_in_the_picture_are_refused() {
+        let at = |u: f64, v: f64, r: f64| {
+            Fisheye::new(Projection::Equidistant, 180.0, DVec2::new(u, v), r)
+                .and_then(|fisheye| fisheye.seen_in(64, 48))
+        };
+        assert!(at(32.0, 24.0, 30.0).is_ok() && at(-20.0, 24.0, 30.0).is_ok());
+        for (u, v, r) in [(0.0, 0.0, 1e300), (1e9, 1e9, 5.0), (-40.0, 24.0, 30.0), (0.0, 1e5, 9.0)]
+        {
+            let said = at(u, v, r).unwrap_err().to_string();
+            assert!(said.contains("circle"), "{said}");
+        }
+    }
 
     #[test]
     fn pixels_invert_directions() {

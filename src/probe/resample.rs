@@ -171,7 +171,10 @@ impl<'a, M: Mapping + ?Sized> Gatherer<'a, M> {
         let weights = [(1.0 - f.x) * (1.0 - f.y), f.x * (1.0 - f.y), (1.0 - f.x) * f.y, f.x * f.y];
         let mut found = [None; 4];
         for (k, slot) in found.iter_mut().enumerate() {
-            *slot = self.index(corner.x as i64 + (k & 1) as i64, corner.y as i64 + (k >> 1) as i64);
+            // Saturating: a place beyond all integers is outside, not an overflow.
+            let (right, down) = ((k & 1) as i64, (k >> 1) as i64);
+            let (x, y) = (corner.x as i64, corner.y as i64);
+            *slot = self.index(x.saturating_add(right), y.saturating_add(down));
         }
         // The nearest usable neighbour decides the class.
         let mut nearest: Option<usize> = None;

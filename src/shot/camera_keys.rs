@@ -263,7 +263,7 @@ impl PoseSource {
 impl Placing {
     /// Reads `at`, `facing`, `up`.
     fn read(keys: &Keys, what_is_at: &str) -> Option<Self> {
-        let at = keys.need("at", keys.numbers("at"), &format!("give {what_is_at} in metres"));
+        let at = keys.need("at", keys.place("at"), &format!("give {what_is_at} in metres"));
         let facing = keys.direction("facing");
         let facing = keys.need("facing", facing, "a print that lies on the floor faces [0, 1, 0]");
         let up = keys.need("up", keys.direction("up"), "say where the print's upper edge points");
@@ -353,7 +353,7 @@ impl RectanglePose {
             "give upper left, upper right, lower right, lower left",
         );
         let size = keys.need("size", keys.positives("size"), "give width and height in metres");
-        let at = keys.need("at", keys.numbers("at"), "give its centre in metres");
+        let at = keys.need("at", keys.place("at"), "give its centre in metres");
         let placing = Placing {
             at: at?,
             facing: keys.direction("facing").unwrap_or([0.0, 1.0, 0.0]),

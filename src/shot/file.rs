@@ -341,7 +341,7 @@ fn read_support(keys: &Keys, folder: &Path) -> Option<Support> {
             }
             SupportShape::Plane {
                 size: plane.need("size", size, "give its two sides in metres, [3.0, 3.0]")?,
-                at: plane.numbers("at").unwrap_or_default(),
+                at: plane.place("at").unwrap_or_default(),
                 normal: plane.direction("normal").unwrap_or([0.0, 1.0, 0.0]),
             }
         }
@@ -360,7 +360,7 @@ fn read_local(keys: &Keys, folder: &Path) -> Option<Local> {
 
 fn read_object(keys: &Keys, folder: &Path) -> Option<Object> {
     let file = keys.need("file", keys.file("file", folder), "name a .glb, .gltf or .obj file");
-    let at = keys.numbers("at").unwrap_or_default();
+    let at = keys.place("at").unwrap_or_default();
     let rotate = keys.numbers("rotate").unwrap_or_default();
     let scale = keys.positive("scale").unwrap_or(1.0);
     Some(Object { file: file?, at, rotate, scale })
@@ -536,6 +536,23 @@ plane = { size = [3.0, 3.0] }
         }
         assert!(parse(&format!("{WHOLE}[render]\ntime = \"\"\n")).is_err());
         assert!(parse(&format!("{WHOLE}[render]\nerror = 0.1\nsamples = 4\n")).is_err());
+    }
+
+    #[test]
+    fn places_and_lamps_that_no_world_holds_are_refused() {
+        for (text, key) in [
+            ("[[lamp]]\nat = [0, 0, 1e300]\nradius = 1\n", "lamp[0].at"),
+            ("[[lamp]]\nat = [0, 0, 1]\nradius = 1e300\n", "lamp[0].radius"),
+            (
+                "[surroundings]\nbox = { min = [-1e300, 0, 0], max = [1, 1, 1] }\n",
+                "surroundings.box.min",
+            ),
+            ("[[object]]\nfile = \"a.obj\"\nat = [nan, 0, 0]\n", "object[0].at"),
+            ("[render]\nerror = 5\n", "render.error: 5 is no share"),
+        ] {
+            let problems = parse(&format!("{WHOLE}{text}")).expect_err("too far");
+            assert!(problems[0].contains(key), "{problems:?}");
+        }
     }
 
     #[test]

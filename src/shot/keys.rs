@@ -218,6 +218,14 @@ impl<'a> Keys<'a> {
         })
     }
 
+    /// A place in the world, metres: no farther out than [`FARTHEST_M`] along any axis.
+    pub fn place(&self, key: &'static str) -> Option<[f64; 3]> {
+        let expected = format!("a place, 3 numbers in metres of at most {FARTHEST_M:e}");
+        self.read(key, &expected, |v| {
+            numbers(v.as_array()?).filter(|at: &[f64; 3]| at.iter().all(|x| x.abs() <= FARTHEST_M))
+        })
+    }
+
     /// A length-free direction: three finite numbers that are not all zero.
     pub fn direction(&self, key: &'static str) -> Option<[f64; 3]> {
         self.read(key, "a direction, three numbers that are not all 0", |v| {
@@ -324,6 +332,9 @@ fn numbers<const N: usize>(array: &DeArray) -> Option<[f64; N]> {
 fn fixed<T, const N: usize>(values: impl Iterator<Item = Option<T>>) -> Option<[T; N]> {
     values.collect::<Option<Vec<T>>>()?.try_into().ok()
 }
+
+/// Farther out nothing of a shot lies, not in any survey's coordinates either, metres.
+const FARTHEST_M: f64 = 1e9;
 
 /// Longest value that a sentence shows, characters.
 const SHOWN: usize = 60;

@@ -177,6 +177,7 @@ fn unwrap_fisheye(
         FisheyeMapping::Equisolid => Projection::Equisolid,
     };
     let fisheye = fisheye::Fisheye::new(projection, keys.fov_deg, DVec2::new(cx, cy), radius_px)
+        .and_then(|fisheye| fisheye.seen_in(w as usize, h as usize))
         .map_err(|error| error.to_string())?;
     let mut panorama =
         photographed::fisheye(&radiance, &fisheye, rotation_xyz_deg(keys.rotation), None)

@@ -50,6 +50,11 @@ pub enum LocateError {
     OtherSize { photo: PathBuf, found: [usize; 2], expected: [usize; 2] },
     #[error("{target}: facing and up are parallel or zero; up lies in the print's plane")]
     Placing { target: String },
+    #[error(
+        "{target}: the four corners in the picture lie on one line, cross or turn inward; mark upper left, \
+         upper right, lower right and lower left as seen from the front"
+    )]
+    Corners { target: String },
     #[error("pose.board: describe the board (kind, corners, square_mm): [camera] has none")]
     NoBoard,
     #[error(
@@ -61,6 +66,17 @@ pub enum LocateError {
     File(#[from] file::CameraFileError),
     #[error("{}: the file has a lens but no pose", path.display())]
     NoPose { path: PathBuf },
+}
+
+/// Whether four corners go round once, as those of any rectangle in front of a camera do.
+fn is_convex(corners_px: &[[f64; 2]; 4]) -> bool {
+    /// Smallest triangle of three corners, twice its area, px².
+    const LEAST: f64 = 1.0;
+    let corner = |i: usize| glam::DVec2::from(corners_px[i % 4]);
+    let turn = |i: usize| (corner(i + 1) - corner(i)).perp_dot(corner(i + 2) - corner(i + 1));
+    let turns = [0, 1, 2, 3].map(turn);
+    let goes = |sign: f64| turns.iter().all(|turn| sign * turn >= LEAST && turn.is_finite());
+    goes(1.0) || goes(-1.0)
 }
 
 /// Smallest σ of a board corner that is believed, px, and what it is worth in residuals.
@@ -93,6 +109,9 @@ pub fn find_pose(
         }
         PoseSource::Rectangle(own) => {
             let target = "pose.rectangle".to_owned();
+            if !is_convex(&own.corners_px) {
+                return Err(LocateError::Corners { target });
+            }
             let place = &own.placing;
             let corners = print::rectangle_corners(
                 place.at.into(),
@@ -339,6 +358,20 @@ mod tests {
             height: 640,
             lens: Lens::pinhole(940.0, 960, 640),
             pose: Pose::look_at(eye, PLACING.at.into(), -DVec3::Z).unwrap(),
+        }
+    }
+
+    #[test]
+    fn corners_that_no_rectangle_shows_are_refused() {
+        for (corners, good) in [
+            ([[0.0, 0.0], [10.0, 0.0], [10.0, 10.0], [0.0, 10.0]], true),
+            ([[0.0, 0.0], [10.0, 0.0], [20.0, 0.0], [30.0, 0.0]], false),
+            ([[0.0, 0.0], [10.0, 10.0], [10.0, 0.0], [0.0, 10.0]], false),
+            ([[0.0, 0.0], [10.0, 0.0], [2.0, 2.0], [0.0, 10.0]], false),
+            ([[1e300, 0.0], [10.0, 0.0], [10.0, 10.0], [0.0, 10.0]], false),
+            ([[5.0, 5.0]; 4], false),
+        ] {
+            assert_eq!(is_convex(&corners), good, "{corners:?}");
         }
     }
 

@@ -179,7 +179,7 @@ impl Ball {
             keys.need("photos", keys.file("photos", folder), "name the bracket, \"ball_b*.jpg\"");
         let radius =
             keys.need("radius", keys.positive("radius"), "give the ball's radius in metres");
-        let at = keys.need("at", keys.numbers("at"), "give the ball's centre in metres");
+        let at = keys.need("at", keys.place("at"), "give the ball's centre in metres");
         let reflectance = read_reflectance(keys);
         let camera = read_camera(keys, folder);
         let pose = read_pose(keys, folder);
@@ -272,7 +272,7 @@ impl Fisheye {
             fov_deg,
             circle_px: keys.numbers("circle_px"),
             rotation: keys.numbers("rotation").unwrap_or_default(),
-            at: keys.numbers("at").unwrap_or_default(),
+            at: keys.place("at").unwrap_or_default(),
         })
     }
 }
@@ -292,7 +292,7 @@ impl PanoramaKeys {
             file: file?,
             mapping: keys.choice("mapping", &mappings).unwrap_or(PanoramaMapping::LatLong),
             rotation: keys.numbers("rotation").unwrap_or_default(),
-            at: keys.numbers("at").unwrap_or_default(),
+            at: keys.place("at").unwrap_or_default(),
         })
     }
 }
@@ -305,8 +305,8 @@ impl Surroundings {
             return Some(Self::Mesh(keys.file("mesh", folder)?));
         }
         let table = keys.table("box", &["min", "max"])?;
-        let min = table.need("min", table.numbers::<3>("min"), "give the lower corner in metres");
-        let max = table.need("max", table.numbers::<3>("max"), "give the upper corner in metres");
+        let min = table.need("min", table.place("min"), "give the lower corner in metres");
+        let max = table.need("max", table.place("max"), "give the upper corner in metres");
         let (min, max) = (min?, max?);
         if (0..3).any(|axis| min[axis] >= max[axis]) {
             table.problem("min", "is not below max on every axis");
@@ -316,12 +316,18 @@ impl Surroundings {
     }
 }
 
+/// From a grain of light to a floodlit sail, m.
+const LAMP_RADII_M: std::ops::RangeInclusive<f64> = 1e-4..=100.0;
+
 impl Lamp {
     pub const KEYS: &[&str] = &["at", "radius"];
 
     pub fn read(keys: &Keys) -> Option<Self> {
-        let at = keys.need("at", keys.numbers("at"), "give its centre in metres");
+        let at = keys.need("at", keys.place("at"), "give its centre in metres");
         let radius = keys.need("radius", keys.positive("radius"), "give its radius in metres");
+        if radius.is_some_and(|radius| !LAMP_RADII_M.contains(&radius)) {
+            keys.problem("radius", "is no lamp's: give it in metres, between 0.0001 and 100");
+        }
         Some(Self { at: at?, radius: radius? })
     }
 }

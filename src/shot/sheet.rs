@@ -41,6 +41,8 @@ const MARGIN_MM: f64 = 6.0;
 /// Length of the scale bar, mm.
 const BAR_MM: f64 = 50.0;
 const CAPTION_MM: f64 = 2.8;
+/// Sides of the black and white cells: two dots of a printer of 600 dpi to the longest page.
+const PRINTABLE_MM: std::ops::RangeInclusive<f64> = 0.08..=5000.0;
 const POINTS_PER_MM: f64 = 72.0 / 25.4;
 
 /// Width and height of a page, mm: a name or `WIDTHxHEIGHT`.
@@ -139,8 +141,12 @@ fn lay_out(
     page: [f64; 2],
     caption: String,
 ) -> Result<Sheet, SheetError> {
-    if !(cell_mm > 0.0 && cell_mm.is_finite()) {
-        return Err(SheetError::Size(format!("a cell of {cell_mm} mm cannot be printed")));
+    if !PRINTABLE_MM.contains(&cell_mm) {
+        return Err(SheetError::Size(format!(
+            "a cell of {cell_mm:?} mm cannot be printed; cells of {} to {} mm can",
+            PRINTABLE_MM.start(),
+            PRINTABLE_MM.end()
+        )));
     }
     let rows = cells.len() / columns;
     let (width, height) = (columns as f64 * cell_mm, rows as f64 * cell_mm);
@@ -301,6 +307,9 @@ mod tests {
         assert!(matches!(charuco(3, 5, 10.0, [210.0, 297.0]), Err(SheetError::Size(_))));
         assert!(checkerboard(9, 6, f64::NAN, [210.0, 297.0]).is_err());
         assert!(checkerboard(9, 6, -1.0, [210.0, 297.0]).is_err());
+        assert!(checkerboard(9, 6, 1e-9, [210.0, 297.0]).is_err());
+        let huge = checkerboard(9, 6, 1e300, [210.0, 297.0]).unwrap_err().to_string();
+        assert!(huge.contains("1e300") && huge.len() < 100, "{huge}");
         for page in ["", "A", "1x2", "axb", "1e9x5", "NaNxNaN"] {
             assert!(page_mm(page).is_err(), "{page}");
         }

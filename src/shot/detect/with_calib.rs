@@ -27,7 +27,16 @@ fn not_found(error: impl std::fmt::Display) -> DetectError {
     DetectError::NotFound(error.to_string())
 }
 
+/// Shortest side in which a board or tag could be told from noise, px.
+const LEAST_SIDE: usize = 16;
+
 fn picture(luma: &Image<f32>) -> Result<Picture<'_>, DetectError> {
+    if luma.width().min(luma.height()) < LEAST_SIDE {
+        let (w, h) = (luma.width(), luma.height());
+        return Err(DetectError::NotFound(format!(
+            "a picture of {w} × {h} px is too small to show anything; give the photograph itself"
+        )));
+    }
     Picture::new(luma.width(), luma.height(), luma.pixels()).ok_or_else(|| {
         let (w, h) = (luma.width(), luma.height());
         DetectError::NotFound(format!(
