@@ -166,10 +166,14 @@ fn a_lens_that_nobody_builds_and_text_of_another_encoding_are_refused_by_file() 
 
 #[test]
 fn a_name_that_ends_in_another_format_is_refused() {
+    let folder = tempfile::tempdir().expect("a folder");
+    write_shot(folder.path(), Plate::Png8, "");
+    let (plate, jpg) = (folder.path().join("plate.png"), folder.path().join("p.jpg"));
+    let (picture, preview) = (text(&plate), text(&jpg));
     for arguments in [
         &["merge", "a.png", "b.png", "-o", "m.png"][..],
         &["panorama", "a.hdr", "--angular", "-o", "p"],
-        &["preview", "a.exr", "-o", "p.jpg"],
+        &["preview", picture, "-o", preview],
     ] {
         let said = stderr(&platelight(arguments));
         assert!(said.contains("must end in .") && said.contains("name it"), "{said}");

@@ -79,8 +79,8 @@ struct FrameSummary {
 
 pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
     let photos: Vec<&Path> = args.photos.iter().map(PathBuf::as_path).collect();
-    check_ending(&args.out, "exr")?;
     check_outputs(&photos, &[&args.out])?;
+    check_ending(&args.out, "exr")?;
     let options = ReadOptions { colour: colour::named(&args.colour)?, ..ReadOptions::default() };
     let photos = read_all(&args.photos, &options, global)?;
     for photo in &photos {

@@ -64,7 +64,6 @@ pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
         ..ReadOptions::default()
     };
     let out = args.out.clone().unwrap_or_else(|| args.picture.with_extension("preview.png"));
-    check_ending(&out, "png")?;
     check_outputs(&[&args.picture], &[&out])?;
     let photo = photo::read(&args.picture, &options)?;
     for remark in &photo.remarks {
@@ -88,6 +87,7 @@ pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
         primaries: Primaries::Rec709,
         source: EncodingSource::Named,
     };
+    check_ending(&out, "png")?;
     global.go_on()?;
     png::write(&out, &png::srgb_codes(&shown), shown.width(), shown.height(), &encoding)?;
     if white > 0.9 && args.exposure != "auto" {
