@@ -4,6 +4,9 @@
 //! whole, a render ends with what it has, and nothing new is begun. The second ends the program where
 //! it is, and may leave a temporary file (`.platelight-…`) behind.
 
+#[cfg(unix)]
+use std::sync::{Arc, atomic::AtomicBool};
+
 use signal_hook::consts::{SIGINT, SIGTERM};
 use signal_hook::flag;
 
@@ -22,5 +25,9 @@ pub fn cancel_on_signals(context: &Context) -> std::io::Result<()> {
         flag::register_conditional_shutdown(signal, exit_code, context.flag())?;
         flag::register(signal, context.flag())?;
     }
+    // A file beyond the shell's limit (ulimit -f) is a failed write, with a message and nothing half
+    // written, not the end of the program.
+    #[cfg(unix)]
+    flag::register(signal_hook::consts::SIGXFSZ, Arc::new(AtomicBool::new(false)))?;
     Ok(())
 }

@@ -215,8 +215,11 @@ fn in_pool<T: Send>(
             )));
         }
         Some(n) => n,
-        // rayon's own default: RAYON_NUM_THREADS or all cores.
-        None => 0,
+        // RAYON_NUM_THREADS or all cores, as rayon alone would; the variable has the same limit.
+        None => {
+            let wished = std::env::var("RAYON_NUM_THREADS").ok().and_then(|n| n.parse().ok());
+            wished.map_or(0, |n: usize| n.min(MOST_THREADS))
+        }
     };
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(threads)
