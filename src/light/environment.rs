@@ -98,6 +98,20 @@ impl Environment {
         }
     }
 
+    /// Width and height of the map, texels.
+    pub(super) fn size(&self) -> (usize, usize) {
+        (self.width, self.height)
+    }
+
+    /// The map's radiance, row by row.
+    pub(super) fn radiance(&self) -> Vec<Rgb> {
+        self.texels.iter().map(|t| t.truncate()).collect()
+    }
+
+    pub(super) fn world_from_map(&self) -> Mat3 {
+        self.world_from_map
+    }
+
     /// False if the table is empty: then only BSDF sampling finds this light.
     pub fn can_be_sampled(&self) -> bool {
         self.table.is_some()

@@ -4,6 +4,7 @@
 //! Start with [`Lights::new`]. [`Environment`] is everything far away as piecewise constant radiance,
 //! [`Disc`] a sun or lamp too small for its texels. This room never traces a path.
 
+pub mod cells;
 pub mod clipped;
 pub mod environment;
 pub mod near_field;
@@ -13,6 +14,7 @@ mod support_grid;
 pub mod table;
 mod take_out;
 
+pub use cells::Cells;
 pub use environment::Environment;
 pub use sun::{Disc, SunSplit};
 pub use take_out::take_out;

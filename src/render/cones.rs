@@ -17,6 +17,8 @@ struct Cap {
     axis: Vec3,
     /// 1 − cos of the half angle, without cancellation.
     height: f32,
+    sin: f32,
+    cos: f32,
     /// q_k / Ω_k
     density: f32,
     /// Sum of q up to and including this cap.
@@ -44,7 +46,7 @@ pub struct Cones {
 impl Cones {
     /// Caps of `parts` over a surface at `x` with unit `normal`; they get at most `share` of the draws.
     pub fn new(parts: &[PartBall], x: Vec3, normal: Vec3, share: f32) -> Self {
-        let empty = Cap { axis: Vec3::Y, height: 0.0, density: 0.0, end: 0.0 };
+        let empty = Cap { axis: Vec3::Y, height: 0.0, sin: 0.0, cos: 1.0, density: 0.0, end: 0.0 };
         let mut cones = Self { caps: [empty; MOST], n: 0, share: 0.0, above: false, inside: false };
         let (mut sum, mut inside) = (0.0, 0.0);
         for part in parts.iter().take(MOST) {
@@ -66,7 +68,14 @@ impl Cones {
             let weight = sin2 * (elevation + 0.5 * sin).max(0.05 * sin);
             let height = sin2 / (1.0 + (1.0 - sin2).sqrt());
             sum += weight;
-            cones.caps[cones.n] = Cap { axis, height, density: weight / (TAU * height), end: sum };
+            cones.caps[cones.n] = Cap {
+                axis,
+                height,
+                sin,
+                cos: 1.0 - height,
+                density: weight / (TAU * height),
+                end: sum,
+            };
             cones.n += 1;
         }
         if sum > 0.0 {
@@ -97,6 +106,15 @@ impl Cones {
     /// False if no object stands in `direction`.
     pub fn may_meet(&self, direction: Vec3) -> bool {
         self.inside || self.caps[..self.n].iter().any(|cap| cap.holds(direction))
+    }
+
+    /// False if no object stands in any direction of a cap; a cap wider than a half sphere has
+    /// cosine −∞.
+    pub fn may_meet_cap(&self, direction: Vec3, sin: f32, cos: f32) -> bool {
+        self.inside
+            || self.caps[..self.n]
+                .iter()
+                .any(|cap| direction.dot(cap.axis) >= cap.cos * cos - cap.sin * sin - 1e-6)
     }
 
     /// Density per steradian of drawing `direction` from a cap, times the caps' share.

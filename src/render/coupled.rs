@@ -140,7 +140,12 @@ impl World<'_> {
         if exact && !cones.any_above() {
             return pair;
         }
-        let look = Look { world: self, surface, want, power, cones: &cones, exact, depth };
+        let by_cells = depth == 0 && want.difference() && point.colour != Colouring::Own;
+        if by_cells {
+            pair.delta -= self.blocked_light(surface, &cones, &sampler);
+        }
+        let look =
+            Look { world: self, surface, want, power, cones: &cones, exact, by_cells, depth };
         for stratum in 0..self.lights.n_strata() {
             look.toward_light(stratum, &sampler, &mut pair);
         }
@@ -296,6 +301,8 @@ struct Look<'w> {
     cones: &'w Cones,
     /// L_without is known without any draw, and nothing local can be met.
     exact: bool,
+    /// Blocked far light is already known.
+    by_cells: bool,
     depth: u32,
 }
 
@@ -305,7 +312,8 @@ impl Look<'_> {
         let world = self.world;
         let u = sampler.pair(purpose_of(stratum));
         let Some(light) = world.lights.sample(stratum, u) else { return };
-        let may_block = self.want.difference() && self.cones.may_meet(light.direction);
+        let may_block =
+            self.want.difference() && !self.by_cells && self.cones.may_meet(light.direction);
         let ends_without_object = self.exact || !self.want.without();
         if !may_block && ends_without_object {
             return;
@@ -406,7 +414,7 @@ impl Look<'_> {
             None if object.is_some() || !self.exact => {
                 let (l, pdf) = world.lights.evaluate(direction);
                 let arriving = by_all(pdf) * l;
-                if object.is_some() {
+                if object.is_some() && !self.by_cells {
                     pair.delta -= arriving;
                 }
                 self.add_without(pair, arriving, false);

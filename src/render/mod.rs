@@ -4,6 +4,7 @@
 //! [`Difference`], through an [`Integrator`] in waves. This room never writes a picture.
 
 pub mod albedo;
+pub mod blocked;
 pub mod bsdf;
 pub mod cones;
 pub mod coupled;

@@ -19,6 +19,7 @@ pub enum Purpose {
     Choice = 5,
     Roulette = 6,
     Alpha = 7,
+    Cells = 8,
 }
 
 /// Which numbers: stratified ones for pictures, independent ones where statistics are tested.

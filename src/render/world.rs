@@ -6,12 +6,13 @@
 use glam::{DVec2, Vec2, Vec3};
 
 use super::albedo::AlbedoMap;
+use super::blocked::CELLS;
 use super::sampler::{Purpose, Sampler};
 use super::skylight::Skylight;
 use super::surface::{LocalPoint, ObjectPoint, Surface};
 use crate::camera::Camera;
 use crate::conventions::Rgb;
-use crate::light::Lights;
+use crate::light::{Cells, Lights};
 use crate::photo::Image;
 use crate::scene::{LocalRole, Mesh, Place, Scene};
 use crate::trace::{Accel, Hit, Ray};
@@ -32,6 +33,8 @@ pub struct PartBall {
 pub struct World<'a> {
     pub scene: &'a Scene,
     pub lights: &'a Lights,
+    /// The same lights, to draw what objects block of them.
+    pub cells: Cells,
     pub camera: &'a Camera,
     pub plate: &'a Image<Rgb>,
     pub local: Accel,
@@ -84,6 +87,7 @@ impl<'a> World<'a> {
             eye: (camera.pose.position() - scene.origin).as_vec3(),
             albedo: AlbedoMap::unknown(scene),
             skylight: Skylight::new(scene, lights),
+            cells: Cells::new(lights, CELLS),
             scene,
             lights,
             camera,
