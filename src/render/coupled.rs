@@ -38,6 +38,9 @@ const LOOK_ROULETTE_DEPTH: u32 = 1;
 const CONE_SHARE_FLAT: f32 = 0.9;
 const CONE_SHARE: f32 = 0.5;
 
+/// See [`World::look_of_camera`].
+const WITHOUT_EVERY: f32 = 4.0;
+
 /// What is asked of a look.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Want {
@@ -94,8 +97,8 @@ impl Estimator for Coupled<'_> {
         }
         let Some(hit) = step.local else { return Sample::default() };
         let point = self.world.local_point(&ray, &hit);
-        let want = Want::Both(self.world.control_for(&point, x, y));
-        let pair = self.world.look(&point, want, 1.0, sampler.descend(0), 0);
+        let control = self.world.control_for(&point, x, y);
+        let pair = self.world.look_of_camera(&point, control, sampler);
         Sample::background(point.colour, self.world.albedo.mean(point.mesh), pair)
     }
 }
@@ -115,6 +118,23 @@ impl World<'_> {
         let pixel = glam::Vec2::new(x as f32, y as f32);
         let known = self.albedo.irradiance(pixel, point.mesh)?;
         (known.element_sum() > 0.6 * exact.element_sum()).then_some(exact)
+    }
+
+    /// The look from a local point that the camera sees.
+    ///
+    /// Where a control variate holds nearly all of L_without, what is left of it is asked for in
+    /// every [`WITHOUT_EVERY`]th sample only.
+    fn look_of_camera(&self, point: &LocalPoint, control: Option<Rgb>, sampler: Sampler) -> Pair {
+        let onward = sampler.descend(0);
+        let (Some(control), false) = (control, self.flat) else {
+            return self.look(point, Want::Both(control), 1.0, onward, 0);
+        };
+        if sampler.one(Purpose::Choice) * WITHOUT_EVERY >= 1.0 {
+            let pair = self.look(point, Want::Difference, 1.0, onward, 0);
+            return Pair { without: control, ..pair };
+        }
+        let pair = self.look(point, Want::Both(Some(control)), 1.0, onward, 0);
+        Pair { without: control + (pair.without - control) * WITHOUT_EVERY, ..pair }
     }
 
     /// One look from a local point: D and L_without for its BSDF (white Lambert unless `Own`).

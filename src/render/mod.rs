@@ -8,6 +8,7 @@ pub mod blocked;
 pub mod bsdf;
 pub mod cones;
 pub mod coupled;
+pub mod denoise;
 pub mod film;
 pub mod fresnel;
 pub mod ggx;

@@ -29,7 +29,7 @@ const MOST_SAMPLES: f64 = 65_536.0;
 /// Replicates and samples per replicate that any sampled pixel gets: with fewer than four the
 /// standard error of a pixel is anything (methods-render R7.3).
 const LEAST_REPLICATES: u32 = 4;
-const LEAST_SAMPLES: u32 = 2;
+const LEAST_SAMPLES: u32 = 1;
 const PILOT_REPLICATES: u32 = 2;
 /// Brightness below which errors are not magnified, relative to the plate's mean.
 const FLOOR: f32 = 0.02;
