@@ -52,6 +52,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         stop: Stop::Error(args.error),
         numbers: Numbers::default(),
         least_step: plate.least_step(),
+        denoise: false,
     };
     let mut integrator = integrator(Method::default(), job)?;
     let context = Context::new(0);

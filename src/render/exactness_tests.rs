@@ -110,6 +110,7 @@ fn a_cancelled_context_stops_at_once() {
         stop: Stop::Samples(1 << 20),
         numbers: Numbers::SobolOwen,
         least_step: 0.0,
+        denoise: false,
     };
     let context = Context::new(1);
     context.cancel();
@@ -132,6 +133,7 @@ fn wrong_jobs_are_refused_with_their_cause() {
             stop,
             numbers,
             least_step: 0.0,
+            denoise: false,
         };
         job.validate().unwrap_err().to_string()
     };

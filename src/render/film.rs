@@ -5,7 +5,7 @@
 //! ×2, methods-render R7.3). The ratio ΔE/E₀ is a quotient of two means over the same samples: its
 //! first-order bias is taken off and its error propagated with their covariance.
 
-use glam::Vec3;
+use glam::{BVec3, Vec3};
 
 use super::surface::Colouring;
 use crate::conventions::{Rgb, luminance};
@@ -55,6 +55,15 @@ impl Sample {
     }
 }
 
+impl std::ops::Add for Sample {
+    type Output = Self;
+
+    fn add(mut self, other: Self) -> Self {
+        self += other;
+        self
+    }
+}
+
 impl std::ops::AddAssign for Sample {
     fn add_assign(&mut self, s: Self) {
         self.coverage += s.coverage;
@@ -93,6 +102,9 @@ const LARGEST_CORRECTION: f32 = 0.25;
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Pixel {
     sum: Sample,
+    /// Of every second replicate, beginning with the first.
+    even: Sample,
+    replicates: u32,
     /// Second moments of u = object + own, a = delta, b = without.
     uu: Vec3,
     aa: Vec3,
@@ -117,6 +129,10 @@ impl Pixel {
     /// Adds the mean of one replicate.
     pub fn add(&mut self, replicate: Sample) {
         let (u, a, b) = (replicate.object + replicate.own, replicate.delta, replicate.without);
+        if self.replicates % 2 == 0 {
+            self.even += replicate;
+        }
+        self.replicates += 1;
         self.sum += replicate;
         self.uu += u * u;
         self.aa += a * a;
@@ -136,9 +152,7 @@ impl Pixel {
         }
         let n = replicates as f32;
         let mean = self.sum * (1.0 / n);
-        let lit = mean.without.cmpgt(Vec3::splat(dark));
-        let floor = plate * LEAST_WITHOUT;
-        let base = Vec3::select(lit, mean.without.max(floor), Vec3::ONE);
+        let (lit, base) = base(&mean, plate, dark);
         let moment = |sum: Vec3, x: Vec3, y: Vec3| {
             if replicates > 1 { (sum / n - x * y) * (n / (n - 1.0)) } else { Vec3::ZERO }
         };
@@ -169,6 +183,83 @@ impl Pixel {
             ratio,
             variance: (variance / n).max(Vec3::ZERO),
         }
+    }
+}
+
+/// Which channels have light without objects, and what the difference is divided by.
+fn base(mean: &Sample, plate: Rgb, dark: f32) -> (BVec3, Rgb) {
+    let lit = mean.without.cmpgt(Vec3::splat(dark));
+    let floor = plate * LEAST_WITHOUT;
+    (lit, Vec3::select(lit, mean.without.max(floor), Vec3::ONE))
+}
+
+/// What a denoiser reads of a pixel: two independent halves, not premultiplied.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Halves {
+    /// ΔE/E₀ of local surfaces.
+    pub ratio: Option<[Rgb; 2]>,
+    /// Radiance of objects.
+    pub object: Option<[Rgb; 2]>,
+}
+
+/// What a denoiser made of one of the [`Halves`]: value and its variance.
+pub type Refined = Option<(Rgb, Rgb)>;
+
+impl Pixel {
+    /// The halves of `replicates`; nothing where a half would be a single replicate, or where the
+    /// pixel shows surfaces of both known and unknown albedo.
+    pub fn halves(&self, plate: Rgb, dark: f32) -> Halves {
+        if self.replicates < 4 {
+            return Halves::default();
+        }
+        let n_even = self.replicates.div_ceil(2) as f32;
+        let even = self.even * (1.0 / n_even);
+        let odd = (self.sum + self.even * -1.0) * (1.0 / (self.replicates as f32 - n_even));
+        let mean = self.sum * (1.0 / self.replicates as f32);
+        let (lit, base) = base(&mean, plate, dark);
+        let one_kind = mean.plate == 0.0 || mean.plate == mean.local;
+        let halves = [even, odd];
+        let quotient = |half: Sample| Vec3::select(lit, half.delta / base, Vec3::ZERO);
+        let covered = halves.iter().all(|half| half.coverage > 0.0);
+        Halves {
+            ratio: (mean.local > 0.0 && one_kind).then(|| halves.map(quotient)),
+            object: covered.then(|| halves.map(|half| half.object / half.coverage)),
+        }
+    }
+
+    /// `estimate` with what a denoiser made of the halves in place of the samples' own means.
+    pub fn refined(
+        &self,
+        estimate: &Estimate,
+        plate: Rgb,
+        dark: f32,
+        ratio: Refined,
+        object: Refined,
+    ) -> Estimate {
+        let mut out = *estimate;
+        let mean = self.sum * (1.0 / self.replicates.max(1) as f32);
+        let (lit, base) = base(&mean, plate, dark);
+        let whole =
+            (ratio.is_some() || mean.local == 0.0) && (object.is_some() || mean.coverage == 0.0);
+        if whole {
+            out.variance = Rgb::ZERO;
+        }
+        if let Some((value, variance)) = ratio {
+            // What one unit of the quotient makes of the pixel
+            let unit = if mean.plate > 0.0 { plate * mean.local } else { base };
+            out.ratio = Vec3::select(lit, value * mean.local, Vec3::ZERO);
+            out.difference = Vec3::select(lit, unit * value, estimate.difference);
+            if whole {
+                out.variance += Vec3::select(lit, unit * unit * variance, estimate.variance);
+            }
+        }
+        if let Some((value, variance)) = object {
+            out.object = value * mean.coverage;
+            if whole {
+                out.variance += mean.coverage * mean.coverage * variance;
+            }
+        }
+        out
     }
 }
 

@@ -109,6 +109,7 @@ fn samples_go_only_where_something_can_be_seen() {
         stop: Stop::Error(0.1),
         numbers: Numbers::SobolOwen,
         least_step: 0.0,
+        denoise: false,
     };
     let mut integrator = integrator(Method::Coupled, job).unwrap();
     while !integrator.next_wave(&Context::new(3)).finished() {}

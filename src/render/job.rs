@@ -36,6 +36,8 @@ pub struct Job<'a> {
     /// Smallest relative change that the plate's file can show: half a code at white for integer
     /// files, 0 for floats. Tiles that provably change less get no samples.
     pub least_step: f32,
+    /// Filter the finished picture where that provably lowers its error.
+    pub denoise: bool,
 }
 
 /// Why a job cannot be rendered.
@@ -124,12 +126,10 @@ pub fn integrator<'a>(
     let world = World::new(job.scene, job.lights, job.camera, job.plate);
     let primary = Primary::new(job.camera, world.eye);
     Ok(match method {
-        Method::Coupled => {
-            Box::new(Waves::new(Coupled { world, primary }, job.stop, job.numbers, job.least_step))
-        }
+        Method::Coupled => Box::new(Waves::new(Coupled { world, primary }, &job)),
         Method::TwoPass { same_numbers } => {
             let estimator = TwoPass { world, primary, same_numbers };
-            Box::new(Waves::new(estimator, job.stop, job.numbers, job.least_step))
+            Box::new(Waves::new(estimator, &job))
         }
     })
 }

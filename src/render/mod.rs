@@ -16,6 +16,7 @@ pub mod guides;
 pub mod influence;
 pub mod job;
 pub mod primary;
+pub mod refine;
 pub mod sampler;
 pub mod skylight;
 pub mod surface;
@@ -149,6 +150,8 @@ pub struct Wave {
     /// Pixels that this error leaves out: their light is found by chance (caustics) and is far
     /// noisier than around them. Their own standard error says so.
     pub outliers: u64,
+    /// How many times smaller denoising made the error; `None` where it did not, or was not asked.
+    pub denoised: Option<f64>,
     /// Pixels that the objects may change and that have no samples yet: the time was over, or the
     /// context cancelled, before their first ones were taken. The difference is 0 there.
     pub missing: u64,

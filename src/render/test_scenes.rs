@@ -132,6 +132,7 @@ pub fn render(
         stop: Stop::Samples(samples),
         numbers: Numbers::SobolOwen,
         least_step: 0.0,
+        denoise: false,
     };
     let mut integrator = integrator(method, job).unwrap();
     let context = Context::new(seed);

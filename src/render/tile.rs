@@ -1,7 +1,7 @@
 //! A tile of pixels: what it has gathered, how wrong that is, and how many samples it should get.
 
 use super::Context;
-use super::film::{Estimate, Noise, Pixel, Sample};
+use super::film::{Estimate, Halves, Noise, Pixel, Refined, Sample};
 use super::guides::Block;
 use super::sampler::{Numbers, Sampler};
 use crate::conventions::Rgb;
@@ -134,17 +134,50 @@ impl Tile {
         self.pixels.get(k).map(|pixel| pixel.estimate(self.replicates, plate, dark))
     }
 
+    /// What a denoiser reads of the tile's `k`-th pixel; nothing of a pilot.
+    pub fn halves(&self, k: usize, plate: &Image<Rgb>, dark: f32) -> Halves {
+        match self.pixels.get(k) {
+            Some(pixel) if !self.pilot => pixel.halves(plate[self.block.pixel(k)], dark),
+            _ => Halves::default(),
+        }
+    }
+
+    /// As [`estimate`](Self::estimate), with what a denoiser made of the halves.
+    pub fn refined(
+        &self,
+        k: usize,
+        plate: &Image<Rgb>,
+        dark: f32,
+        ratio: Refined,
+        object: Refined,
+    ) -> Option<Estimate> {
+        let raw = self.estimate(k, plate, dark)?;
+        Some(self.pixels[k].refined(&raw, plate[self.block.pixel(k)], dark, ratio, object))
+    }
+
     /// Pools the errors of the pixels.
     pub fn measure(&mut self, plate: &Image<Rgb>, floors: Floors) {
-        let noises: Vec<Noise> = (0..self.pixels.len())
-            .filter_map(|k| {
-                let estimate = self.estimate(k, plate, floors.dark)?;
-                Some(estimate.noise(plate[self.block.pixel(k)], floors.error))
-            })
-            .collect();
-        if noises.is_empty() {
-            return;
+        let estimates: Vec<Estimate> =
+            (0..self.pixels.len()).filter_map(|k| self.estimate(k, plate, floors.dark)).collect();
+        let noise = self.pool(&estimates, plate, floors);
+        self.noise = noise.unwrap_or(self.noise);
+    }
+
+    /// Pooled error of `estimates` of all the tile's pixels; `None` if there are none.
+    pub fn pool(
+        &self,
+        estimates: &[Estimate],
+        plate: &Image<Rgb>,
+        floors: Floors,
+    ) -> Option<TileNoise> {
+        if estimates.is_empty() {
+            return None;
         }
+        let noises: Vec<Noise> = estimates
+            .iter()
+            .enumerate()
+            .map(|(k, estimate)| estimate.noise(plate[self.block.pixel(k)], floors.error))
+            .collect();
         // A change counts if it stands out of the tile's noise; a pixel's own estimate of its noise,
         // from few replicates, is often small by luck.
         let background: Vec<f64> =
@@ -167,13 +200,13 @@ impl Tile {
             influenced.iter().map(|n| n.relative_variance).collect()
         };
         let (variance, outliers) = pooled(&of);
-        self.noise = TileNoise {
+        Some(TileNoise {
             sample_variance: variance * f64::from(self.samples()),
             variance,
             influenced: influenced.len() as f64,
             outliers: if influenced.is_empty() { 0 } else { outliers },
             largest_change: noises.iter().map(|n| n.change).fold(0.0, f64::max),
-        };
+        })
     }
 }
 

@@ -15,7 +15,9 @@ use rayon::prelude::*;
 use super::film::Sample;
 use super::guides::{Block, Guides};
 use super::influence::Influence;
+use super::job::Job;
 use super::primary::Primary;
+use super::refine::{Refinement, refine};
 use super::sampler::{Numbers, Sampler};
 use super::tile::{Floors, Tile};
 use super::world::World;
@@ -37,6 +39,8 @@ const FLOOR: f32 = 0.02;
 const UNSEEN_SHARE: f64 = 0.1;
 /// The same where no error is asked for.
 const UNSEEN: f64 = 1e-4;
+/// Gain in error that denoising of few samples has (methods-render R8.2: worth six times as many).
+const EXPECTED_GAIN: f64 = 2.0;
 /// How far past the time asked for the pilot may go, so that every part of the picture has something.
 const PILOT_GRACE_SECONDS: f64 = 1.0;
 
@@ -56,6 +60,9 @@ pub struct Waves<E> {
     numbers: Numbers,
     /// Smallest relative change that the plate's file can show.
     least_step: f32,
+    denoise: bool,
+    /// What the denoiser made of the last wave, if that is better than the samples.
+    refinement: Option<Refinement>,
     tiles: Vec<Tile>,
     guides: Option<Guides>,
     waves: u32,
@@ -70,7 +77,8 @@ pub struct Waves<E> {
 }
 
 impl<E: Estimator> Waves<E> {
-    pub fn new(estimator: E, stop: Stop, numbers: Numbers, least_step: f32) -> Self {
+    pub fn new(estimator: E, job: &Job) -> Self {
+        let Job { stop, numbers, least_step, denoise, .. } = *job;
         let plate = estimator.world().plate;
         let blocks = Block::all(plate.width(), plate.height());
         let sum: f64 = plate.pixels().iter().map(|&p| f64::from(luminance(p).max(0.0))).sum();
@@ -82,6 +90,8 @@ impl<E: Estimator> Waves<E> {
             stop,
             numbers,
             least_step,
+            denoise,
+            refinement: None,
             guides: None,
             waves: 0,
             started: None,
@@ -169,7 +179,7 @@ impl<E: Estimator> Waves<E> {
     fn wanted_samples(&self) -> Vec<f64> {
         let target = match self.stop {
             Stop::Samples(n) => return vec![f64::from(n.max(2)); self.tiles.len()],
-            Stop::Error(error) => error.max(1e-6),
+            Stop::Error(error) => error.max(1e-6) * self.gain(),
             // As much better each time as the doubling of samples gives.
             Stop::TimeSeconds(_) if self.error.is_finite() => self.error * 0.65,
             Stop::TimeSeconds(_) => 0.03,
@@ -202,6 +212,28 @@ impl<E: Estimator> Waves<E> {
             let cut = (f64::from(tile.planned) * share) as u32;
             tile.planned = cut.max(least.min(tile.planned));
         }
+    }
+
+    /// How many times smaller denoising makes the error: as of the last wave; expected before.
+    fn gain(&self) -> f64 {
+        match &self.refinement {
+            Some(refinement) => (self.measured_error() / refinement.error.max(1e-12)).max(1.0),
+            None if self.denoise && self.waves == 1 => EXPECTED_GAIN,
+            None => 1.0,
+        }
+    }
+
+    /// Denoises what there is, if that makes the error smaller; the error reached either way.
+    fn refine(&mut self) -> f64 {
+        let raw = self.measured_error();
+        let refined = match &self.guides {
+            Some(guides) if self.denoise && self.waves > 1 => {
+                refine(&self.tiles, guides, self.estimator.world().plate, self.floors)
+            }
+            _ => None,
+        };
+        self.refinement = refined.filter(|refined| refined.error < raw);
+        self.refinement.as_ref().map_or(raw, |refined| refined.error)
     }
 
     fn elapsed(&self) -> f64 {
@@ -283,6 +315,7 @@ impl<E: Estimator> Integrator for Waves<E> {
             progress,
             error: 0.0,
             outliers: 0,
+            denoised: None,
             missing: 0,
         };
         if self.estimator.world().objects.is_empty() {
@@ -309,7 +342,7 @@ impl<E: Estimator> Integrator for Waves<E> {
         self.waves += 1;
         self.samples += samples;
         self.seconds += begin.elapsed().as_secs_f64();
-        self.error = self.measured_error();
+        self.error = self.refine();
         let (done, met) = self.share_done();
         let progress = match (context.is_cancelled(), met, samples) {
             (true, ..) => Progress::Cancelled,
@@ -319,17 +352,21 @@ impl<E: Estimator> Integrator for Waves<E> {
         };
         let done = if progress == Progress::Going { done.min(0.999) } else { 1.0 };
         let (outliers, missing) = (self.outliers(), self.missing);
-        Wave { samples, done, progress, error: self.error, outliers, missing }
+        let denoised = self.refinement.is_some().then(|| self.gain());
+        Wave { samples, done, progress, error: self.error, outliers, denoised, missing }
     }
 
     fn snapshot(&self) -> Difference {
         let world = self.estimator.world();
         let mut out = Difference::nothing(world.plate.width(), world.plate.height());
-        for tile in &self.tiles {
+        let refined = self.refinement.as_ref().map(|refinement| &refinement.estimates);
+        for (t, tile) in self.tiles.iter().enumerate() {
             for k in 0..tile.block.n_pixels() {
-                let Some(estimate) = tile.estimate(k, world.plate, self.floors.dark) else {
-                    continue;
+                let estimate = match refined {
+                    Some(estimates) => estimates[t].get(k).copied(),
+                    None => tile.estimate(k, world.plate, self.floors.dark),
                 };
+                let Some(estimate) = estimate else { continue };
                 let at = tile.block.pixel(k);
                 out.coverage[at] = estimate.coverage;
                 out.object[at] = estimate.object;
@@ -392,10 +429,20 @@ mod tests {
         let (scene, lights) = scene_and_lights();
         let camera = corner_camera(80, 60, 3.0);
         let plate = Image::filled(80, 60, crate::conventions::Rgb::splat(0.2));
+        let job = Job {
+            scene: &scene,
+            lights: &lights,
+            camera: &camera,
+            plate: &plate,
+            stop,
+            numbers: Numbers::SobolOwen,
+            least_step: 0.0,
+            denoise: false,
+        };
         let world = World::new(&scene, &lights, &camera, &plate);
         let primary = Primary::new(&camera, world.eye);
         let slow = Slow(Coupled { world, primary });
-        let mut waves = Waves::new(slow, stop, Numbers::SobolOwen, 0.0);
+        let mut waves = Waves::new(slow, &job);
         let context = Context::new(1);
         let begin = Instant::now();
         let pool = rayon::ThreadPoolBuilder::new().num_threads(2).build().unwrap();

@@ -242,6 +242,8 @@ pub struct RenderReport {
     pub cpu_seconds: Option<f64>,
     /// Pixels that the error leaves out: light found by chance, far noisier than around them.
     pub outliers: u64,
+    /// How many times smaller denoising made the error, where it did.
+    pub denoised: Option<f64>,
     /// Pixels that the objects may change and for which there was no time.
     pub missing: u64,
     /// False if it ended before the stopping rule was met.

@@ -112,6 +112,17 @@ pub struct Render {
     pub stop: StopKeys,
     /// "auto" or a method's name.
     pub method: String,
+    pub denoise: DenoiseKeys,
+}
+
+/// `render.denoise`
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum DenoiseKeys {
+    #[default]
+    Off,
+    /// Where two halves of the samples prove that it lowers the error.
+    Auto,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -248,7 +259,13 @@ fn read_root(root: &Keys, path: &Path, folder: &Path) -> Option<ShotFile> {
     let objects = root.tables("object", &["file", "at", "rotate", "scale"]);
     let objects = objects.iter().filter_map(|keys| read_object(keys, folder)).collect();
     let render = root.table("render", RENDER).map_or_else(
-        || Some(Render { stop: StopKeys::Error(DEFAULT_ERROR), method: "auto".to_owned() }),
+        || {
+            Some(Render {
+                stop: StopKeys::Error(DEFAULT_ERROR),
+                method: "auto".to_owned(),
+                denoise: DenoiseKeys::default(),
+            })
+        },
         |keys| read_render(&keys),
     );
     let composite = read_composite(root.table("composite", &["mode", "grain"]).as_ref());
@@ -366,7 +383,7 @@ fn read_object(keys: &Keys, folder: &Path) -> Option<Object> {
     Some(Object { file: file?, at, rotate, scale })
 }
 
-const RENDER: &[&str] = &["error", "time", "samples", "method"];
+const RENDER: &[&str] = &["error", "time", "samples", "method", "denoise"];
 
 /// Errors that can be asked for, as shares of the plate.
 pub const ERRORS: std::ops::Range<f64> = 1e-5..1.0;
@@ -401,7 +418,8 @@ fn read_render(keys: &Keys) -> Option<Render> {
     } else {
         StopKeys::Error(DEFAULT_ERROR)
     };
-    Some(Render { stop, method })
+    let denoise = keys.choice("denoise", &[("off", DenoiseKeys::Off), ("auto", DenoiseKeys::Auto)]);
+    Some(Render { stop, method, denoise: denoise.unwrap_or_default() })
 }
 
 /// `time = 60`, `"60s"`, `"5m"` or `"2h"`, in seconds.

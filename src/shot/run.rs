@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use super::existing;
-use super::file::{Albedo, ModeKeys, ShotFile, StopKeys};
+use super::file::{Albedo, DenoiseKeys, ModeKeys, ShotFile, StopKeys};
 use super::finish::{Finish, finish};
 use super::frames::frame_path;
 use super::plan::Plan;
@@ -254,6 +254,7 @@ fn render_shot(
         stop,
         numbers: Numbers::default(),
         least_step: plan.plate.least_step(),
+        denoise: plan.shot.render.denoise == DenoiseKeys::Auto,
     };
     let mut integrator = render::integrator(prepared.method, job)?;
     let mode = mode(plan).0;
@@ -270,6 +271,7 @@ fn render_shot(
         if wave.finished() {
             report.complete = wave.progress != Progress::Cancelled;
             report.outliers = wave.outliers;
+            report.denoised = wave.denoised;
             report.missing = wave.missing;
             break;
         }
