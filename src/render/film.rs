@@ -126,6 +126,23 @@ pub struct Estimate {
 }
 
 impl Pixel {
+    /// Weighted sum of neighbours with the same number of replicates.
+    pub fn blend<'a>(parts: impl Iterator<Item = (f32, &'a Pixel)>) -> Self {
+        let mut out = Self::default();
+        for (weight, part) in parts {
+            out.sum += part.sum * weight;
+            out.even += part.even * weight;
+            out.replicates = part.replicates;
+            out.uu += part.uu * weight;
+            out.aa += part.aa * weight;
+            out.bb += part.bb * weight;
+            out.ua += part.ua * weight;
+            out.ub += part.ub * weight;
+            out.ab += part.ab * weight;
+        }
+        out
+    }
+
     /// Adds the mean of one replicate.
     pub fn add(&mut self, replicate: Sample) {
         let (u, a, b) = (replicate.object + replicate.own, replicate.delta, replicate.without);

@@ -108,6 +108,12 @@ pub struct Footprint {
 }
 
 impl View {
+    /// True if every pixel centre shows the same matt local mesh and no object.
+    pub fn is_plain(&self) -> bool {
+        let same = |p: &Point| p.mesh == self.points[0].mesh && !p.own_material;
+        !self.object && self.points.len() == self.block.n_pixels() && self.points.iter().all(same)
+    }
+
     /// What `part` of the block shows; `None` if nothing local.
     pub fn footprint(&self, part: Block) -> Option<Footprint> {
         let inside = |p: &&Point| {

@@ -60,7 +60,7 @@ pub fn refine(
     let (variance, pixels) = tiles
         .par_iter()
         .zip(&estimates)
-        .filter_map(|(tile, estimates)| tile.pool(estimates, plate, floors))
+        .filter_map(|(tile, estimates)| tile.pool_estimates(estimates, plate, floors))
         .map(|noise| (noise.variance * noise.influenced, noise.influenced))
         .collect::<Vec<_>>()
         .into_iter()

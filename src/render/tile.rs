@@ -19,6 +19,19 @@ const OUTLIER: f64 = 25.0;
 /// milliseconds where thousands of triangles coincide; a look costs 30 ns.
 const BETWEEN_LOOKS: u32 = 4;
 
+/// A tile is quiet if no pixel's change is larger than its noise by this factor: of 64 pixels one
+/// exceeds 5 σ by chance in 30 000 tiles, and in a few more where σ is from two replicates.
+const QUIET_SIGMAS: f64 = 5.0;
+
+/// Where along a side of `size` pixels the sampled ones lie.
+fn places(stride: usize, size: usize) -> std::iter::StepBy<std::ops::Range<usize>> {
+    (first(stride, size)..size).step_by(stride)
+}
+
+fn first(stride: usize, size: usize) -> usize {
+    (stride / 2).min(size.saturating_sub(1))
+}
+
 /// Samples and pooled error of a block of pixels.
 pub struct Tile {
     pub block: Block,
@@ -33,6 +46,12 @@ pub struct Tile {
     pub n_next: u32,
     /// Only a focused reflection could be seen here.
     pub doubtful: bool,
+    /// All of it shows one local mesh and no object: its light is smooth where the objects' own is.
+    pub plain: bool,
+    /// Every how many pixels, across and down, one is sampled; the others lie between them.
+    pub stride: usize,
+    /// The stride once the pilot has given way.
+    pub stride_next: usize,
     pub noise: TileNoise,
     pixels: Vec<Pixel>,
 }
@@ -51,6 +70,8 @@ pub struct TileNoise {
     pub outliers: u64,
     /// Largest change that a pixel shows, relative to its brightness.
     pub largest_change: f64,
+    /// No change stands out of the noise anywhere.
+    pub quiet: bool,
 }
 
 /// Brightnesses below which errors are not magnified and light counts as none.
@@ -70,6 +91,9 @@ impl Tile {
             pilot: false,
             n_next: 1,
             doubtful: false,
+            plain: false,
+            stride: 1,
+            stride_next: 1,
             noise: TileNoise::default(),
             pixels: Vec::new(),
         }
@@ -82,8 +106,43 @@ impl Tile {
 
     /// Samples of all pixels that are planned.
     pub fn work(&self) -> u64 {
-        let n = if self.pilot { self.n_next } else { self.n };
-        u64::from(n * self.planned) * self.block.n_pixels() as u64
+        let (n, stride) =
+            if self.pilot { (self.n_next, self.stride_next) } else { (self.n, self.stride) };
+        let Block { width, height, .. } = self.block;
+        let pixels = places(stride, width).len() * places(stride, height).len();
+        u64::from(n * self.planned) * pixels as u64
+    }
+
+    /// The block's pixels that are sampled, in the order they are held.
+    fn sampled(&self) -> impl Iterator<Item = usize> + use<> {
+        let Block { width, height, .. } = self.block;
+        let stride = self.stride;
+        places(stride, height).flat_map(move |y| places(stride, width).map(move |x| y * width + x))
+    }
+
+    /// What is held for the block's `k`-th pixel, or lies between what its neighbours hold.
+    fn held(&self, k: usize) -> Option<Pixel> {
+        if self.stride == 1 || self.pixels.is_empty() {
+            return self.pixels.get(k).copied();
+        }
+        let Block { width, height, .. } = self.block;
+        let along = |at: usize, size: usize| {
+            let last = places(self.stride, size).len() - 1;
+            let first = first(self.stride, size);
+            let place = at.saturating_sub(first) as f32 / self.stride as f32;
+            let low = (place as usize).min(last);
+            (low, (low + 1).min(last), (place - low as f32).min(1.0))
+        };
+        let columns = places(self.stride, width).len();
+        let (x0, x1, fx) = along(k % width, width);
+        let (y0, y1, fy) = along(k / width, height);
+        let corners = [
+            ((1.0 - fx) * (1.0 - fy), y0 * columns + x0),
+            (fx * (1.0 - fy), y0 * columns + x1),
+            ((1.0 - fx) * fy, y1 * columns + x0),
+            (fx * fy, y1 * columns + x1),
+        ];
+        Some(Pixel::blend(corners.into_iter().map(|(weight, at)| (weight, &self.pixels[at]))))
     }
 
     /// Forgets what was gathered.
@@ -103,18 +162,23 @@ impl Tile {
         numbers: Numbers,
     ) -> u64 {
         let n = if self.pilot { self.n_next } else { self.n };
+        let before = self.stride;
+        if self.pilot {
+            self.stride = self.stride_next;
+        }
         let (mut pixels, held) = if self.pilot || self.pixels.is_empty() {
-            (vec![Pixel::default(); self.block.n_pixels()], 0)
+            (vec![Pixel::default(); self.sampled().count()], 0)
         } else {
             (self.pixels.clone(), self.replicates)
         };
         let more = offset + held..offset + held + self.planned;
-        for (k, pixel) in pixels.iter_mut().enumerate() {
+        for (k, pixel) in self.sampled().zip(&mut pixels) {
             let (x, y) = self.block.pixel(k);
             for replicate in more.clone() {
                 let mut sum = Sample::default();
                 for index in 0..n {
                     if index % BETWEEN_LOOKS == 0 && context.is_over() {
+                        self.stride = before;
                         return 0;
                     }
                     let sampler = Sampler::new(context.seed, (x, y), replicate, index, numbers);
@@ -131,13 +195,15 @@ impl Tile {
     /// What the tile's `k`-th pixel has come to; `None` if nothing was sampled.
     pub fn estimate(&self, k: usize, plate: &Image<Rgb>, dark: f32) -> Option<Estimate> {
         let plate = plate[self.block.pixel(k)];
-        self.pixels.get(k).map(|pixel| pixel.estimate(self.replicates, plate, dark))
+        self.held(k).map(|pixel| pixel.estimate(self.replicates, plate, dark))
     }
 
-    /// What a denoiser reads of the tile's `k`-th pixel; nothing of a pilot.
+    /// What a denoiser reads of the tile's `k`-th pixel; nothing of a pilot or between samples.
     pub fn halves(&self, k: usize, plate: &Image<Rgb>, dark: f32) -> Halves {
         match self.pixels.get(k) {
-            Some(pixel) if !self.pilot => pixel.halves(plate[self.block.pixel(k)], dark),
+            Some(pixel) if !self.pilot && self.stride == 1 => {
+                pixel.halves(plate[self.block.pixel(k)], dark)
+            }
             _ => Halves::default(),
         }
     }
@@ -152,32 +218,45 @@ impl Tile {
         object: Refined,
     ) -> Option<Estimate> {
         let raw = self.estimate(k, plate, dark)?;
-        Some(self.pixels[k].refined(&raw, plate[self.block.pixel(k)], dark, ratio, object))
+        if ratio.is_none() && object.is_none() {
+            return Some(raw);
+        }
+        Some(self.pixels.get(k)?.refined(&raw, plate[self.block.pixel(k)], dark, ratio, object))
     }
 
     /// Pools the errors of the pixels.
     pub fn measure(&mut self, plate: &Image<Rgb>, floors: Floors) {
-        let estimates: Vec<Estimate> =
-            (0..self.pixels.len()).filter_map(|k| self.estimate(k, plate, floors.dark)).collect();
-        let noise = self.pool(&estimates, plate, floors);
+        let noises: Vec<Noise> = self
+            .sampled()
+            .zip(&self.pixels)
+            .map(|(k, pixel)| {
+                let plate = plate[self.block.pixel(k)];
+                pixel.estimate(self.replicates, plate, floors.dark).noise(plate, floors.error)
+            })
+            .collect();
+        let noise = self.pool(&noises);
         self.noise = noise.unwrap_or(self.noise);
     }
 
     /// Pooled error of `estimates` of all the tile's pixels; `None` if there are none.
-    pub fn pool(
+    pub fn pool_estimates(
         &self,
         estimates: &[Estimate],
         plate: &Image<Rgb>,
         floors: Floors,
     ) -> Option<TileNoise> {
-        if estimates.is_empty() {
-            return None;
-        }
         let noises: Vec<Noise> = estimates
             .iter()
             .enumerate()
             .map(|(k, estimate)| estimate.noise(plate[self.block.pixel(k)], floors.error))
             .collect();
+        self.pool(&noises)
+    }
+
+    fn pool(&self, noises: &[Noise]) -> Option<TileNoise> {
+        if noises.is_empty() {
+            return None;
+        }
         // A change counts if it stands out of the tile's noise; a pixel's own estimate of its noise,
         // from few replicates, is often small by luck.
         let background: Vec<f64> =
@@ -191,7 +270,8 @@ impl Tile {
             .filter(|n| n.coverage == 0.0)
             .map(|n| (n.change - sigma).clamp(0.0, 1.0))
             .sum();
-        if !background.is_empty() && excess > INFLUENCE * background.len() as f64 {
+        let in_all = !background.is_empty() && excess > INFLUENCE * background.len() as f64;
+        if in_all {
             influenced = noises.iter().collect();
         }
         let of: Vec<f64> = if influenced.is_empty() {
@@ -200,12 +280,18 @@ impl Tile {
             influenced.iter().map(|n| n.relative_variance).collect()
         };
         let (variance, outliers) = pooled(&of);
+        let largest_change = noises.iter().map(|n| n.change).fold(0.0, f64::max);
+        let covered = noises.iter().any(|n| n.coverage > 0.0);
+        let quiet = !covered && !in_all && largest_change < INFLUENCE + QUIET_SIGMAS * sigma;
+        let each = self.block.n_pixels() as f64 / noises.len() as f64;
+        let thin = self.stride > 1 && !self.pilot;
         Some(TileNoise {
             sample_variance: variance * f64::from(self.samples()),
             variance,
-            influenced: influenced.len() as f64,
+            influenced: if thin && quiet { 0.0 } else { influenced.len() as f64 * each },
             outliers: if influenced.is_empty() { 0 } else { outliers },
-            largest_change: noises.iter().map(|n| n.change).fold(0.0, f64::max),
+            largest_change,
+            quiet,
         })
     }
 }

@@ -33,6 +33,12 @@ const MOST_SAMPLES: f64 = 65_536.0;
 const LEAST_REPLICATES: u32 = 4;
 const LEAST_SAMPLES: u32 = 1;
 const PILOT_REPLICATES: u32 = 2;
+/// The pilot samples one pixel of four.
+const PILOT_STRIDE: usize = 2;
+/// Where nothing stands out of the pilot's noise and one plain surface is seen, one pixel of sixteen
+/// is sampled, more often, and the others lie between: less noise for less work.
+const QUIET_STRIDE: usize = 4;
+const QUIET_SAMPLES: u32 = 4;
 /// Brightness below which errors are not magnified, relative to the plate's mean.
 const FLOOR: f32 = 0.02;
 /// Changes below this share of the error asked for are not worth a sample (methods-render R3.2).
@@ -119,11 +125,16 @@ impl<E: Estimator> Waves<E> {
         let (influence, unseen) = (Influence::new(world), self.unseen());
         let (guides, bounds) = Guides::new(world, primary, &blocks, context, |view| {
             let objects = primary.meets(&view.block, &world.parts, world.eye);
-            if objects { f32::INFINITY } else { influence.bound(view, unseen) }
+            if objects {
+                return (f32::INFINITY, false);
+            }
+            (influence.bound(view, unseen), view.is_plain())
         });
         for (tile, bound) in self.tiles.iter_mut().zip(bounds) {
             // What was not looked at may be changed by any amount.
-            let bound = bound.unwrap_or(f32::INFINITY);
+            let (bound, plain) = bound.unwrap_or((f32::INFINITY, false));
+            tile.plain = plain;
+            tile.stride = PILOT_STRIDE;
             tile.doubtful = bound <= unseen && influence.may_focus && bound > 0.0;
             let matters = bound > unseen || tile.doubtful;
             tile.planned = if matters { PILOT_REPLICATES } else { 0 };
@@ -149,9 +160,18 @@ impl<E: Estimator> Waves<E> {
     fn plan(&mut self) {
         let wanted = self.wanted_samples();
         for (tile, wanted) in self.tiles.iter_mut().zip(wanted) {
+            if tile.stride > 1 && !tile.pilot && !tile.noise.quiet {
+                // Something stands out after all: begin anew in every pixel.
+                tile.pilot = true;
+            }
+            let thin = tile.plain && tile.noise.quiet && !matches!(self.stop, Stop::Samples(_));
             if tile.replicates == 0 {
                 tile.planned = 0;
+            } else if tile.pilot && thin {
+                tile.stride_next = QUIET_STRIDE;
+                (tile.n_next, tile.planned) = (QUIET_SAMPLES, LEAST_REPLICATES);
             } else if tile.pilot {
+                tile.stride_next = 1;
                 let per_replicate = (wanted / f64::from(REPLICATES)).max(1.0) as u32;
                 let n = (1 << per_replicate.ilog2()).min(LARGEST_REPLICATE);
                 (tile.n_next, tile.planned) = match self.stop {
