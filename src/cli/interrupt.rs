@@ -4,7 +4,6 @@
 //! whole, a render ends with what it has, and nothing new is begun. The second ends the program where
 //! it is, and may leave a temporary file (`.platelight-…`) behind.
 
-#[cfg(unix)]
 use std::sync::{Arc, atomic::AtomicBool};
 
 use signal_hook::consts::{SIGINT, SIGTERM};
@@ -21,9 +20,12 @@ const EXIT_CODES: [(i32, i32); 2] = [(SIGINT, 130), (SIGTERM, 143)];
 /// The system knows no such signals; they then end the program at once, as without this.
 pub fn cancel_on_signals(context: &Context) -> std::io::Result<()> {
     for (signal, exit_code) in EXIT_CODES {
-        // In this order: the first signal finds the flag down and passes on to raise it.
-        flag::register_conditional_shutdown(signal, exit_code, context.flag())?;
+        // In this order: from the first line on no signal is lost, and the first of them finds
+        // `again` down and passes on to raise it.
         flag::register(signal, context.flag())?;
+        let again = Arc::new(AtomicBool::new(false));
+        flag::register_conditional_shutdown(signal, exit_code, Arc::clone(&again))?;
+        flag::register(signal, again)?;
     }
     // A file beyond the shell's limit (ulimit -f) is a failed write, with a message and nothing half
     // written, not the end of the program.

@@ -246,19 +246,18 @@ fn largest_cosine(normal: Vec3, direction: Vec3, radius: f32) -> f32 {
 ///
 /// Convex mirrors spread what they get as thinly as matt surfaces do; see [`Influence::may_focus`].
 fn most_sent(world: &World) -> Rgb {
-    /// Between neighbours of the 26 normals tried, irradiance rises by less than this.
+    /// Between neighbours of the 26 normals tried, and by the map's coarseness, irradiance rises by
+    /// less than this.
     const BETWEEN_NORMALS: f32 = 1.15;
-    // Cells are taken as if all their light came from where it counts most.
-    let from_map = |normal: Vec3| -> Rgb {
-        let map = world.cells.iter().filter(|cell| !cell.is_sun());
-        map.map(|cell| cell.flux * largest_cosine(normal, cell.direction, cell.radius)).sum()
-    };
+    // Light is moved by a degree at most.
+    let map = world.lights.environment.coarse(256, 128);
     let mut irradiance = Rgb::ZERO;
     for x in -1..=1 {
         for y in -1..=1 {
             for z in -1..=1 {
                 if let Some(normal) = Vec3::new(x as f32, y as f32, z as f32).try_normalize() {
-                    irradiance = irradiance.max(from_map(normal) * BETWEEN_NORMALS);
+                    irradiance = irradiance
+                        .max(map.irradiance(normal.as_dvec3()).as_vec3() * BETWEEN_NORMALS);
                 }
             }
         }
