@@ -6,6 +6,8 @@
 pub mod file;
 pub mod interchange;
 pub mod lens;
+#[cfg(test)]
+mod lens_tests;
 pub mod planar_pose;
 mod planar_start;
 mod plausible;

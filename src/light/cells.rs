@@ -248,6 +248,14 @@ impl Cells {
         self.cells.iter()
     }
 
+    /// Share of the power that small cells hold: suns and lamps.
+    pub fn share_of_small(&self, radius: f32) -> f32 {
+        let sum = |small: bool| -> f32 {
+            self.cells.iter().filter(|c| !small || c.radius < radius).map(|c| c.power).sum()
+        };
+        if self.cells.is_empty() { 0.0 } else { sum(true) / sum(false) }
+    }
+
     /// Calls `found` for every cell of whose cap, and of all caps above it in the tree, `wanted`
     /// says that it may hold something: (middle, sine and cosine of the radius). A cap of more than a
     /// half sphere has cosine −∞.

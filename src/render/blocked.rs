@@ -17,6 +17,12 @@ use crate::conventions::Rgb;
 
 /// Cells of the environment.
 pub const CELLS: usize = 256;
+/// Where suns and lamps smaller than this, radians, hold more than this share of the light, whole
+/// draws of the lights find them as well, and cells cost more than they gain (R14; measured on the
+/// truth scenes: the same noise for 1.6 times the work under a sun, 2.4 times less variance at equal
+/// work under clouds).
+pub const SMALL_CELL: f32 = 0.03;
+pub const MOST_IN_SMALL: f32 = 0.25;
 /// Beside them, each sun is one.
 const MOST_CELLS: usize = CELLS + 64;
 /// Draws where all of a point's light may be blocked.

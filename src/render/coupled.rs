@@ -8,8 +8,9 @@
 //! Each look takes one draw from every stratum of the lights, for the blocked light only (any-hit
 //! rays), and one draw from a mixture of the BSDF and cones toward the objects, which also finds what
 //! objects reflect and what local surfaces pass on. Blocked light is weighted by the balance heuristic
-//! over all of them, the rest by the mixture's own density. Nothing is added where no object is
-//! touched: D is exactly zero there.
+//! over all of them, the rest by the mixture's own density. Under soft light, what the camera's own
+//! local points lose is drawn from cells of the light instead (`blocked`). Nothing is added where no
+//! object is touched: D is exactly zero there.
 //! The same draws estimate the light without objects, L_without, as the ratio D / L_without needs it;
 //! where the plain horizon irradiance is known exactly and nearly right it serves as control variate.
 
@@ -122,11 +123,12 @@ impl World<'_> {
 
     /// The look from a local point that the camera sees.
     ///
-    /// Where a control variate holds nearly all of L_without, what is left of it is asked for in
+    /// Where a control variate holds nearly all of L_without, and its draws do not serve the blocked
+    /// light as well, what is left of it is asked for in
     /// every [`WITHOUT_EVERY`]th sample only.
     fn look_of_camera(&self, point: &LocalPoint, control: Option<Rgb>, sampler: Sampler) -> Pair {
         let onward = sampler.descend(0);
-        let (Some(control), false) = (control, self.flat) else {
+        let (Some(control), true) = (control, self.by_cells && !self.flat) else {
             return self.look(point, Want::Both(control), 1.0, onward, 0);
         };
         if sampler.one(Purpose::Choice) * WITHOUT_EVERY >= 1.0 {
@@ -160,7 +162,8 @@ impl World<'_> {
         if exact && !cones.any_above() {
             return pair;
         }
-        let by_cells = depth == 0 && want.difference() && point.colour != Colouring::Own;
+        let by_cells =
+            self.by_cells && depth == 0 && want.difference() && point.colour != Colouring::Own;
         if by_cells {
             pair.delta -= self.blocked_light(surface, &cones, &sampler);
         }

@@ -27,18 +27,22 @@ pub struct Noisy {
     pub halves: [Image<Rgb>; 2],
     /// Pixels of different groups never mix; 0 is not filtered at all.
     pub groups: Image<u32>,
+    /// How much of the picture a pixel's value stands for: Σ mass · value is kept. Above 0.
+    pub masses: Image<f32>,
 }
 
 /// The filtered picture.
 pub struct Filtered {
     pub value: Image<Rgb>,
+    /// `value` less the mean of the halves.
+    pub moved: Image<Rgb>,
     /// Expected squared error of `value`, by channel: noise and what the filter smears.
     pub variance: Image<Rgb>,
 }
 
 /// Filters `noisy`. Pixels of group 0 come back as the mean of their halves, with variance 0.
 pub fn denoise(noisy: &Noisy) -> Filtered {
-    let Noisy { halves: [a, b], groups } = noisy;
+    let Noisy { halves: [a, b], groups, .. } = noisy;
     let (width, height) = (groups.width(), groups.height());
     let squared: Image<Rgb> =
         Image::from_fn(width, height, |x, y| 0.5 * (a[(x, y)] - b[(x, y)]).powf(2.0));
@@ -56,6 +60,7 @@ pub fn denoise(noisy: &Noisy) -> Filtered {
     let (error_of_half, scatter) = (smooth(&error_of_half, groups, 3), smooth(&scatter, groups, 3));
     let mut out = Filtered {
         value: Image::filled(width, height, Rgb::ZERO),
+        moved: Image::filled(width, height, Rgb::ZERO),
         variance: Image::filled(width, height, Rgb::ZERO),
     };
     for y in 0..height {
@@ -70,7 +75,8 @@ pub fn denoise(noisy: &Noisy) -> Filtered {
             // Both halves smear alike but scatter apart: their mean scatters half as much.
             let of_filtered = (error_of_half[p] - scatter[p]).max(scatter[p]);
             let share = of_raw / (of_raw + of_filtered).max(Rgb::splat(1e-30));
-            out.value[p] = raw + share * (0.5 * (fa[p] + fb[p]) - raw);
+            out.moved[p] = share * (0.5 * (fa[p] + fb[p]) - raw);
+            out.value[p] = raw + out.moved[p];
             out.variance[p] = share * share * of_filtered + (Rgb::ONE - share).powf(2.0) * of_raw;
         }
     }
@@ -113,6 +119,7 @@ struct Area {
     width: usize,
     height: usize,
     groups: Vec<u32>,
+    masses: Vec<f32>,
     variance: [Vec<f32>; 3],
     halves: [[Vec<f32>; 3]; 2],
 }
@@ -158,6 +165,7 @@ impl Area {
             width,
             height,
             groups: vec![0; n],
+            masses: vec![1.0; n],
             variance: zeros(),
             halves: [zeros(), zeros()],
         };
@@ -168,6 +176,7 @@ impl Area {
                 let Some(&group) = noisy.groups.get(p.0, p.1) else { continue };
                 let k = j * width + i;
                 area.groups[k] = group;
+                area.masses[k] = noisy.masses[p];
                 for c in 0..3 {
                     area.variance[c][k] = variance[p][c];
                     for half in 0..2 {
@@ -199,10 +208,12 @@ impl Area {
             let step = self.step(dx, dy);
             for (values, out) in self.halves[half].iter().zip(&mut out) {
                 for k in 0..n - step {
-                    let passed =
-                        of[k] / sums[k].max(sums[k + step]) * (values[k + step] - values[k]);
-                    out[k] += passed;
-                    out[k + step] -= passed;
+                    let (here, there) = (self.masses[k], self.masses[k + step]);
+                    // What the lighter of the two takes changes the heavier one less.
+                    let passed = of[k] / (sums[k].max(sums[k + step]) * here.max(there))
+                        * (values[k + step] - values[k]);
+                    out[k] += passed * there;
+                    out[k + step] -= passed * here;
                 }
             }
         }
@@ -311,7 +322,7 @@ mod tests {
                 Rgb::splat(truth(x, y) + sigma * normal(x, y, salt)) * Rgb::new(1.0, 0.9, 1.1)
             })
         };
-        Noisy { halves: [half(1), half(2)], groups }
+        Noisy { halves: [half(1), half(2)], groups, masses: Image::filled(SIZE, SIZE, 1.0) }
     }
 
     fn squared_error(image: &Image<Rgb>) -> f64 {
@@ -373,7 +384,11 @@ mod tests {
             let level = if x < 40 { 0.0 } else { 1e-3 };
             Rgb::splat(level + normal(x, y, 3) * if x < 80 { 0.0 } else { 1.0 })
         });
-        let noisy = Noisy { halves: [half.clone(), half.clone()], groups };
+        let noisy = Noisy {
+            halves: [half.clone(), half.clone()],
+            groups,
+            masses: Image::filled(SIZE, SIZE, 1.0),
+        };
         let filtered = denoise(&noisy);
         for (a, b) in filtered.value.pixels().iter().zip(half.pixels()) {
             assert!((*a - *b).abs().max_element() < 1e-7);
@@ -391,6 +406,7 @@ mod tests {
         let part = Noisy {
             halves: [cut(&whole.halves[0]), cut(&whole.halves[1])],
             groups: Image::filled(SIZE - shift, SIZE - shift, 1),
+            masses: Image::filled(SIZE - shift, SIZE - shift, 1.0),
         };
         let (a, b) = (denoise(&whole).value, denoise(&part).value);
         for y in 30..SIZE - shift {

@@ -217,9 +217,13 @@ pub struct Halves {
     pub ratio: Option<[Rgb; 2]>,
     /// Radiance of objects.
     pub object: Option<[Rgb; 2]>,
+    /// What one unit of either is worth in the finished pixel, by its brightness.
+    pub ratio_mass: f32,
+    pub object_mass: f32,
 }
 
-/// What a denoiser made of one of the [`Halves`]: value and its variance.
+/// What a denoiser made of one of the [`Halves`]: how far it moved their mean, and the variance of what
+/// it came to.
 pub type Refined = Option<(Rgb, Rgb)>;
 
 impl Pixel {
@@ -229,19 +233,25 @@ impl Pixel {
         if self.replicates < 4 {
             return Halves::default();
         }
-        let n_even = self.replicates.div_ceil(2) as f32;
-        let even = self.even * (1.0 / n_even);
-        let odd = (self.sum + self.even * -1.0) * (1.0 / (self.replicates as f32 - n_even));
+        let halves = self.half_means();
         let mean = self.sum * (1.0 / self.replicates as f32);
         let (lit, base) = base(&mean, plate, dark);
         let one_kind = mean.plate == 0.0 || mean.plate == mean.local;
-        let halves = [even, odd];
         let quotient = |half: Sample| Vec3::select(lit, half.delta / base, Vec3::ZERO);
         let covered = halves.iter().all(|half| half.coverage > 0.0);
         Halves {
             ratio: (mean.local > 0.0 && one_kind).then(|| halves.map(quotient)),
             object: covered.then(|| halves.map(|half| half.object / half.coverage)),
+            ratio_mass: luminance(if mean.plate > 0.0 { plate * mean.local } else { base }),
+            object_mass: mean.coverage,
         }
+    }
+
+    /// Means of the even and the odd replicates; there must be two at least.
+    fn half_means(&self) -> [Sample; 2] {
+        let n_even = self.replicates.div_ceil(2) as f32;
+        let odd = self.sum + self.even * -1.0;
+        [self.even * (1.0 / n_even), odd * (1.0 / (self.replicates as f32 - n_even))]
     }
 
     /// `estimate` with what a denoiser made of the halves in place of the samples' own means.
@@ -261,19 +271,27 @@ impl Pixel {
         if whole {
             out.variance = Rgb::ZERO;
         }
-        if let Some((value, variance)) = ratio {
+        let mut reflected = Rgb::ZERO;
+        if let Some((moved, variance)) = ratio {
             // What one unit of the quotient makes of the pixel
             let unit = if mean.plate > 0.0 { plate * mean.local } else { base };
-            out.ratio = Vec3::select(lit, value * mean.local, Vec3::ZERO);
-            out.difference = Vec3::select(lit, unit * value, estimate.difference);
+            let moved = Vec3::select(lit, moved, Vec3::ZERO);
+            out.ratio += moved * mean.local;
+            out.difference += unit * moved;
+            reflected = out.difference / mean.local.max(f32::MIN_POSITIVE);
             if whole {
                 out.variance += Vec3::select(lit, unit * unit * variance, estimate.variance);
             }
         }
-        if let Some((value, variance)) = object {
-            out.object = value * mean.coverage;
+        if let Some((moved, variance)) = object {
+            out.object += moved * mean.coverage;
+            let value = out.object / mean.coverage;
             if whole {
-                out.variance += mean.coverage * mean.coverage * variance;
+                // The denoiser knows nothing of how well the outline is known.
+                let [even, odd] = self.half_means();
+                let outline = 0.25 * (even.coverage - odd.coverage).powi(2);
+                out.variance += mean.coverage * mean.coverage * variance
+                    + (value - reflected).powf(2.0) * outline;
             }
         }
         out

@@ -6,7 +6,7 @@
 use glam::{DVec2, Vec2, Vec3};
 
 use super::albedo::AlbedoMap;
-use super::blocked::CELLS;
+use super::blocked::{CELLS, MOST_IN_SMALL, SMALL_CELL};
 use super::sampler::{Purpose, Sampler};
 use super::skylight::Skylight;
 use super::surface::{LocalPoint, ObjectPoint, Surface};
@@ -35,6 +35,8 @@ pub struct World<'a> {
     pub lights: &'a Lights,
     /// The same lights, to draw what objects block of them.
     pub cells: Cells,
+    /// True if blocked light is drawn from cells: see [`blocked`](super::blocked).
+    pub by_cells: bool,
     pub camera: &'a Camera,
     pub plate: &'a Image<Rgb>,
     pub local: Accel,
@@ -77,6 +79,7 @@ impl<'a> World<'a> {
             .iter()
             .map(|b| PartBall { centre: b.centre(), radius: b.radius() * (1.0 + 1e-5) })
             .collect();
+        let cells = Cells::new(lights, CELLS);
         let size = if objects.is_empty() { local.bounds() } else { objects.bounds() }.diameter();
         Self {
             flat: is_flat(&local_meshes),
@@ -87,7 +90,8 @@ impl<'a> World<'a> {
             eye: (camera.pose.position() - scene.origin).as_vec3(),
             albedo: AlbedoMap::unknown(scene),
             skylight: Skylight::new(scene, lights),
-            cells: Cells::new(lights, CELLS),
+            by_cells: cells.share_of_small(SMALL_CELL) < MOST_IN_SMALL,
+            cells,
             scene,
             lights,
             camera,
