@@ -496,7 +496,7 @@ mod tests {
         let cells = Cells::new(&lights, 256);
         for k in 0..50 {
             let z = 2.0 * number(k, 5) as f32 - 1.0;
-            let (s, c) = (6.283 * number(k, 6) as f32).sin_cos();
+            let (s, c) = (std::f32::consts::TAU * number(k, 6) as f32).sin_cos();
             let axis = Vec3::new(c * (1.0 - z * z).sqrt(), z, s * (1.0 - z * z).sqrt());
             let (sin, cos) = (0.02 + 1.2 * number(k, 7) as f32).sin_cos();
             let meets = |d: Vec3, s: f32, c: f32| d.dot(axis) >= cos * c - sin * s;

@@ -146,7 +146,7 @@ impl Pixel {
     /// Adds the mean of one replicate.
     pub fn add(&mut self, replicate: Sample) {
         let (u, a, b) = (replicate.object + replicate.own, replicate.delta, replicate.without);
-        if self.replicates % 2 == 0 {
+        if self.replicates.is_multiple_of(2) {
             self.even += replicate;
         }
         self.replicates += 1;
