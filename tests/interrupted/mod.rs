@@ -24,8 +24,8 @@ fn start(folder: &Path) -> Child {
         .expect("the program starts")
 }
 
-fn interrupt(child: &Child) {
-    let sent = Command::new("kill").args(["-INT", &child.id().to_string()]).status();
+fn send(signal: &str, child: &Child) {
+    let sent = Command::new("kill").args([signal, &child.id().to_string()]).status();
     assert!(sent.expect("kill is there").success());
 }
 
@@ -63,7 +63,7 @@ fn an_interrupted_run_writes_the_picture_it_has_and_leaves_no_temporary_file() {
     let child = start(folder.path());
     let out = folder.path().join("out");
     wait_for(&out.join("composite.png"));
-    interrupt(&child);
+    send("-INT", &child);
     assert_eq!(end_of(child).code(), Some(130));
     let report = std::fs::read(out.join("report.json")).expect("the picture was finished");
     let report: serde_json::Value = serde_json::from_slice(&report).expect("JSON");
@@ -78,7 +78,8 @@ fn a_run_interrupted_early_leaves_whole_files_or_none() {
         let folder = tempfile::tempdir().expect("a folder");
         let child = start(folder.path());
         std::thread::sleep(Duration::from_millis(milliseconds));
-        interrupt(&child);
+        // Not Ctrl-C's: what is started in the background of a shell is deaf to that at first.
+        send("-TERM", &child);
         let status = end_of(child);
         // No code: it was killed before its first line.
         assert!(matches!(status.code(), None | Some(130)), "{status}");
