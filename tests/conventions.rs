@@ -3,25 +3,8 @@
 use glam::{DMat4, DVec2, DVec3, DVec4};
 use platelight::camera::{Camera, Distortion, Lens, Pose};
 
-fn lenses() -> Vec<Lens> {
-    let base = Lens { fx: 940.3, fy: 951.7, cx: 483.2, cy: 316.4, ..Lens::pinhole(1.0, 1, 1) };
-    let with = |distortion| Lens { distortion, ..base.clone() };
-    vec![
-        with(Distortion::None),
-        with(Distortion::BrownConrady { k1: -0.28, k2: 0.1, p1: 6e-4, p2: -4e-4, k3: -0.02 }),
-        with(Distortion::Rational {
-            k1: 0.3,
-            k2: 0.02,
-            p1: 1e-4,
-            p2: -2e-4,
-            k3: 0.01,
-            k4: 0.5,
-            k5: 0.06,
-            k6: 0.01,
-        }),
-        with(Distortion::KannalaBrandt { k1: 0.0254, k2: -0.0026, k3: 0.0025, k4: -0.0001 }),
-    ]
-}
+mod lenses;
+use lenses::lenses;
 
 fn points() -> impl Iterator<Item = DVec3> {
     (-4..=4).flat_map(|i| {

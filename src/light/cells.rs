@@ -244,6 +244,14 @@ impl Cells {
         cells
     }
 
+    pub fn len(&self) -> usize {
+        self.cells.len()
+    }
+
+    pub fn is_empty(&self) -> bool {
+        self.cells.is_empty()
+    }
+
     pub fn iter(&self) -> impl Iterator<Item = &Cell> {
         self.cells.iter()
     }

@@ -27,19 +27,6 @@ pub struct Draw {
     pub pdf: f32,
 }
 
-/// A part of the sphere, held by a cap.
-#[derive(Clone, Copy, Debug)]
-pub struct Cell {
-    /// Of the cap's middle, unit, world axes.
-    pub direction: Vec3,
-    /// Of the cap, radians.
-    pub radius: f32,
-    /// ∫ L dω over the part.
-    pub flux: Rgb,
-    /// Largest radiance in it, by channel.
-    pub brightest: Rgb,
-}
-
 /// A lat-long environment, world axes outside, ready to be sampled.
 ///
 /// # Guarantees
@@ -219,66 +206,6 @@ impl Environment {
                 t.truncate().as_dvec3() * lat_long_solid_angle(row, self.width, self.height)
             })
             .sum()
-    }
-
-    /// Light of a coarse grid over the sphere, for bounds.
-    ///
-    /// Of a map coarser than the grid the texels are halved until they are as small as its cells.
-    pub fn cells(&self, columns: usize, rows: usize) -> Vec<Cell> {
-        let largest = 1.5 * PI / rows.max(1) as f64;
-        let (columns, rows) = (columns.clamp(1, self.width), rows.clamp(1, self.height));
-        let edge = |k: usize, n: usize, of: usize| k * of / n;
-        let mut cells = Vec::with_capacity(columns * rows);
-        for j in 0..rows {
-            for i in 0..columns {
-                let x = edge(i, columns, self.width)..edge(i + 1, columns, self.width);
-                let y = edge(j, rows, self.height)..edge(j + 1, rows, self.height);
-                let corner =
-                    Patch::new(self.width, self.height, &self.row_cosines, x.start, y.start);
-                let last =
-                    Patch::new(self.width, self.height, &self.row_cosines, x.end - 1, y.end - 1);
-                let whole = Patch {
-                    longitude: [corner.longitude[0], last.longitude[1]],
-                    cosine: [corner.cosine[0], last.cosine[1]],
-                };
-                let l = self.texels[y.start * self.width + x.start].truncate();
-                if x.len() == 1 && y.len() == 1 && whole.bounding_cap().1 > largest {
-                    self.push_parts(whole, l, largest, &mut cells);
-                    continue;
-                }
-                let (mut flux, mut brightest) = (DVec3::ZERO, Rgb::ZERO);
-                for row in y {
-                    let solid_angle = lat_long_solid_angle(row, self.width, self.height);
-                    for column in x.clone() {
-                        let l = self.texels[row * self.width + column].truncate();
-                        flux += l.as_dvec3() * solid_angle;
-                        brightest = brightest.max(l);
-                    }
-                }
-                let (middle, radius) = whole.bounding_cap();
-                cells.push(Cell {
-                    direction: self.world_from_map * middle.as_vec3(),
-                    radius: radius as f32,
-                    flux: flux.as_vec3(),
-                    brightest,
-                });
-            }
-        }
-        cells
-    }
-
-    /// Parts of a patch of radiance `l` that are no larger than `largest`.
-    fn push_parts(&self, patch: Patch, l: Vec3, largest: f64, cells: &mut Vec<Cell>) {
-        let (middle, radius) = patch.bounding_cap();
-        if radius > largest {
-            for half in patch.halves() {
-                self.push_parts(half, l, largest, cells);
-            }
-        } else {
-            let flux = l * patch.solid_angle() as f32;
-            let direction = self.world_from_map * middle.as_vec3();
-            cells.push(Cell { direction, radius: radius as f32, flux, brightest: l });
-        }
     }
 
     fn patch(&self, column: usize, row: usize) -> Patch {
@@ -539,26 +466,6 @@ mod tests {
             let direction = turn * crate::conventions::lat_long_direction(pixel, 64, 32);
             let l = env.evaluate(direction.as_vec3()).0;
             assert_eq!(l, Rgb::new(k as f32, 11.0, 0.0));
-        }
-    }
-
-    #[test]
-    fn coarse_cells_hold_all_the_light_and_all_their_directions() {
-        let env = environment(&sunny(128, 64), true);
-        let cells = env.cells(32, 16);
-        let sum: Rgb = cells.iter().map(|c| c.flux).sum();
-        assert!((sum.as_dvec3() - env.flux()).length() < 1e-3 * env.flux().length());
-        for (k, Cell { direction: middle, radius, flux, brightest }) in cells.iter().enumerate() {
-            let (i, j) = (k % 32, k / 32);
-            assert!(
-                flux.cmple(*brightest * 1.01 * std::f32::consts::TAU * (1.0 - radius.cos())).all()
-            );
-            for corner in [(0.0, 0.0), (4.0, 0.0), (0.0, 4.0), (4.0, 4.0), (2.0, 0.0), (2.0, 4.0)] {
-                let pixel =
-                    DVec2::new((i * 4) as f64 + corner.0 - 0.5, (j * 4) as f64 + corner.1 - 0.5);
-                let d = crate::conventions::lat_long_direction(pixel, 128, 64).as_vec3();
-                assert!(d.angle_between(*middle) <= radius + 1e-3, "cell {k}");
-            }
         }
     }
 }

@@ -27,10 +27,6 @@ impl Patch {
         Self { longitude: [at(column), at(column + 1)], cosine: [cosines[row], cosines[row + 1]] }
     }
 
-    pub fn solid_angle(&self) -> f64 {
-        (self.longitude[0] - self.longitude[1]) * (self.cosine[0] - self.cosine[1])
-    }
-
     /// ∫ ω dω over the patch, in closed form.
     fn vector_area(&self) -> DVec3 {
         let [l0, l1] = self.longitude;

@@ -24,7 +24,7 @@ pub const CELLS: usize = 256;
 pub const SMALL_CELL: f32 = 0.03;
 pub const MOST_IN_SMALL: f32 = 0.25;
 /// Beside them, each sun is one.
-const MOST_CELLS: usize = CELLS + 64;
+pub const MOST_CELLS: usize = CELLS + 64;
 /// Draws where all of a point's light may be blocked.
 const MOST_DRAWS: f32 = 8.0;
 /// Golden ratio: steps of a Kronecker sequence.
@@ -45,7 +45,7 @@ impl World<'_> {
             },
             |k, cell| {
                 let cosine = normal.dot(cell.direction).max(0.25 * cell.radius.min(1.0));
-                if n < MOST_CELLS && cell.power > 0.0 {
+                if cell.power > 0.0 {
                     total += cell.power * cosine;
                     cells[n] = (k as u32, total);
                     n += 1;

@@ -16,9 +16,6 @@ use crate::conventions::Rgb;
 use crate::scene::Material;
 use crate::trace::Accel;
 
-/// Cells of the sphere over which light is summed: 11° wide.
-const COLUMNS: usize = 32;
-const ROWS: usize = 16;
 /// Balls that bound one local mesh.
 const RISER_PARTS: usize = 8;
 /// Where the light without objects comes from a grid of noisy nodes, it is taken for this share.
@@ -70,22 +67,14 @@ struct Cap {
 
 impl<'w> Influence<'w> {
     pub fn new(world: &'w World) -> Self {
-        let mut sources: Vec<Source> = world
-            .lights
-            .environment
-            .cells(COLUMNS, ROWS)
-            .into_iter()
-            .filter(|cell| cell.flux != Rgb::ZERO)
-            .map(|cell| Source::new(cell.direction, cell.radius, cell.flux, Some(cell.brightest)))
-            .collect();
-        sources.extend(world.lights.suns.iter().map(|sun| {
-            let flux = sun.radiance * sun.solid_angle();
-            Source::new(sun.direction, sun.half_angle, flux, None)
-        }));
+        let sources = world.cells.iter().map(|cell| {
+            let brightest = (!cell.is_sun()).then_some(cell.brightest);
+            Source::new(cell.direction, cell.radius, cell.flux, brightest)
+        });
         let mut influence = Self {
             parts: &world.parts,
             whole: whole(world),
-            sources,
+            sources: sources.collect(),
             sent: most_sent(world),
             risers: Vec::new(),
             sure_share: if world.flat { 1.0 } else { SURE_SHARE },

@@ -115,7 +115,8 @@ pub struct Difference {
     pub depth: Image<f32>,
     /// World normal of the first thing seen *with* the objects, zero for none. Not filtered.
     pub normal: Image<glam::Vec3>,
-    /// Camera samples taken; 0 where the influence bound proved that nothing can be seen.
+    /// Camera samples taken; 0 where the influence bound proved that nothing can be seen. In quiet
+    /// tiles, those of each of the sampled pixels that the others lie between.
     pub samples: Image<u32>,
 }
 

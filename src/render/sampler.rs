@@ -91,7 +91,7 @@ pub fn to_f32(u: f64) -> f32 {
 }
 
 /// A good bijective hash of 32 bits ("lowbias32", Wellons 2018).
-fn mix(mut x: u32) -> u32 {
+pub(super) fn mix(mut x: u32) -> u32 {
     x ^= x >> 16;
     x = x.wrapping_mul(0x7feb_352d);
     x ^= x >> 15;

@@ -3,7 +3,7 @@
 use super::Context;
 use super::film::{Estimate, Halves, Noise, Pixel, Refined, Sample};
 use super::guides::Block;
-use super::sampler::{Numbers, Sampler};
+use super::sampler::{Numbers, Sampler, mix};
 use crate::conventions::Rgb;
 use crate::photo::Image;
 
@@ -23,13 +23,67 @@ const BETWEEN_LOOKS: u32 = 4;
 /// exceeds 5 σ by chance in 30 000 tiles, and in a few more where σ is from two replicates.
 const QUIET_SIGMAS: f64 = 5.0;
 
-/// Where along a side of `size` pixels the sampled ones lie.
-fn places(stride: usize, size: usize) -> std::iter::StepBy<std::ops::Range<usize>> {
-    (first(stride, size)..size).step_by(stride)
+/// Which pixels of a tile are sampled: one of each square of stride × stride, the others lie between.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Grid {
+    pub stride: usize,
+    /// The sampled pixel lies now here, now there in its square, so that no line across the tile
+    /// slips between them; the others are then what their square's one is.
+    pub scattered: bool,
 }
 
-fn first(stride: usize, size: usize) -> usize {
-    (stride / 2).min(size.saturating_sub(1))
+impl Grid {
+    /// Every pixel.
+    pub const FULL: Self = Self { stride: 1, scattered: false };
+
+    /// How many squares have a sampled pixel along a side of `size` pixels.
+    fn squares(&self, size: usize) -> usize {
+        if self.scattered {
+            size.div_ceil(self.stride)
+        } else {
+            (size - self.first(size)).div_ceil(self.stride)
+        }
+    }
+
+    /// The first sampled pixel along a side of `size` pixels, if they are not scattered.
+    fn first(&self, size: usize) -> usize {
+        (self.stride / 2).min(size.saturating_sub(1))
+    }
+
+    /// How many pixels of a block are sampled.
+    fn n_sampled(&self, block: &Block) -> usize {
+        self.squares(block.width) * self.squares(block.height)
+    }
+
+    /// The block's pixels that are sampled, square by square.
+    fn sampled(self, block: &Block) -> impl Iterator<Item = usize> + use<> {
+        let Block { width, height, .. } = *block;
+        let stride = self.stride;
+        let place = move |i: usize, j: usize| {
+            let (x, y) = if self.scattered {
+                // Along a column of squares x takes every place in turn, along a row y does.
+                let across = (j + mix(i as u32) as usize) % stride;
+                let down = (i + mix(!(j as u32)) as usize) % stride;
+                (stride * i + across, stride * j + down)
+            } else {
+                (self.first(width) + stride * i, self.first(height) + stride * j)
+            };
+            y.min(height - 1) * width + x.min(width - 1)
+        };
+        let columns = self.squares(width);
+        (0..self.squares(height)).flat_map(move |j| (0..columns).map(move |i| place(i, j)))
+    }
+
+    /// The two squares between which a place along a side lies, and how far it is on the way.
+    fn between(&self, at: usize, size: usize) -> (usize, usize, f32) {
+        if self.scattered {
+            return (at / self.stride, at / self.stride, 0.0);
+        }
+        let last = self.squares(size) - 1;
+        let place = at.saturating_sub(self.first(size)) as f32 / self.stride as f32;
+        let low = (place as usize).min(last);
+        (low, (low + 1).min(last), (place - low as f32).min(1.0))
+    }
 }
 
 /// Samples and pooled error of a block of pixels.
@@ -48,10 +102,9 @@ pub struct Tile {
     pub doubtful: bool,
     /// All of it shows one local mesh and no object: its light is smooth where the objects' own is.
     pub plain: bool,
-    /// Every how many pixels, across and down, one is sampled; the others lie between them.
-    pub stride: usize,
-    /// The stride once the pilot has given way.
-    pub stride_next: usize,
+    pub grid: Grid,
+    /// The grid once the pilot has given way.
+    pub grid_next: Grid,
     pub noise: TileNoise,
     pixels: Vec<Pixel>,
 }
@@ -92,8 +145,8 @@ impl Tile {
             n_next: 1,
             doubtful: false,
             plain: false,
-            stride: 1,
-            stride_next: 1,
+            grid: Grid::FULL,
+            grid_next: Grid::FULL,
             noise: TileNoise::default(),
             pixels: Vec::new(),
         }
@@ -106,36 +159,20 @@ impl Tile {
 
     /// Samples of all pixels that are planned.
     pub fn work(&self) -> u64 {
-        let (n, stride) =
-            if self.pilot { (self.n_next, self.stride_next) } else { (self.n, self.stride) };
-        let Block { width, height, .. } = self.block;
-        let pixels = places(stride, width).len() * places(stride, height).len();
-        u64::from(n * self.planned) * pixels as u64
-    }
-
-    /// The block's pixels that are sampled, in the order they are held.
-    fn sampled(&self) -> impl Iterator<Item = usize> + use<> {
-        let Block { width, height, .. } = self.block;
-        let stride = self.stride;
-        places(stride, height).flat_map(move |y| places(stride, width).map(move |x| y * width + x))
+        let (n, grid) =
+            if self.pilot { (self.n_next, self.grid_next) } else { (self.n, self.grid) };
+        u64::from(n * self.planned) * grid.n_sampled(&self.block) as u64
     }
 
     /// What is held for the block's `k`-th pixel, or lies between what its neighbours hold.
     fn held(&self, k: usize) -> Option<Pixel> {
-        if self.stride == 1 || self.pixels.is_empty() {
+        if self.grid == Grid::FULL || self.pixels.is_empty() {
             return self.pixels.get(k).copied();
         }
         let Block { width, height, .. } = self.block;
-        let along = |at: usize, size: usize| {
-            let last = places(self.stride, size).len() - 1;
-            let first = first(self.stride, size);
-            let place = at.saturating_sub(first) as f32 / self.stride as f32;
-            let low = (place as usize).min(last);
-            (low, (low + 1).min(last), (place - low as f32).min(1.0))
-        };
-        let columns = places(self.stride, width).len();
-        let (x0, x1, fx) = along(k % width, width);
-        let (y0, y1, fy) = along(k / width, height);
+        let columns = self.grid.squares(width);
+        let (x0, x1, fx) = self.grid.between(k % width, width);
+        let (y0, y1, fy) = self.grid.between(k / width, height);
         let corners = [
             ((1.0 - fx) * (1.0 - fy), y0 * columns + x0),
             (fx * (1.0 - fy), y0 * columns + x1),
@@ -162,23 +199,19 @@ impl Tile {
         numbers: Numbers,
     ) -> u64 {
         let n = if self.pilot { self.n_next } else { self.n };
-        let before = self.stride;
-        if self.pilot {
-            self.stride = self.stride_next;
-        }
+        let grid = if self.pilot { self.grid_next } else { self.grid };
         let (mut pixels, held) = if self.pilot || self.pixels.is_empty() {
-            (vec![Pixel::default(); self.sampled().count()], 0)
+            (vec![Pixel::default(); grid.n_sampled(&self.block)], 0)
         } else {
             (self.pixels.clone(), self.replicates)
         };
         let more = offset + held..offset + held + self.planned;
-        for (k, pixel) in self.sampled().zip(&mut pixels) {
+        for (k, pixel) in grid.sampled(&self.block).zip(&mut pixels) {
             let (x, y) = self.block.pixel(k);
             for replicate in more.clone() {
                 let mut sum = Sample::default();
                 for index in 0..n {
                     if index % BETWEEN_LOOKS == 0 && context.is_over() {
-                        self.stride = before;
                         return 0;
                     }
                     let sampler = Sampler::new(context.seed, (x, y), replicate, index, numbers);
@@ -188,6 +221,7 @@ impl Tile {
             }
         }
         (self.pixels, self.n, self.replicates) = (pixels, n, held + self.planned);
+        self.grid = grid;
         self.pilot = false;
         self.work()
     }
@@ -201,7 +235,7 @@ impl Tile {
     /// What a denoiser reads of the tile's `k`-th pixel; nothing of a pilot or between samples.
     pub fn halves(&self, k: usize, plate: &Image<Rgb>, dark: f32) -> Halves {
         match self.pixels.get(k) {
-            Some(pixel) if !self.pilot && self.stride == 1 => {
+            Some(pixel) if !self.pilot && self.grid == Grid::FULL => {
                 pixel.halves(plate[self.block.pixel(k)], dark)
             }
             _ => Halves::default(),
@@ -227,7 +261,8 @@ impl Tile {
     /// Pools the errors of the pixels.
     pub fn measure(&mut self, plate: &Image<Rgb>, floors: Floors) {
         let noises: Vec<Noise> = self
-            .sampled()
+            .grid
+            .sampled(&self.block)
             .zip(&self.pixels)
             .map(|(k, pixel)| {
                 let plate = plate[self.block.pixel(k)];
@@ -284,7 +319,7 @@ impl Tile {
         let covered = noises.iter().any(|n| n.coverage > 0.0);
         let quiet = !covered && !in_all && largest_change < INFLUENCE + QUIET_SIGMAS * sigma;
         let each = self.block.n_pixels() as f64 / noises.len() as f64;
-        let thin = self.stride > 1 && !self.pilot;
+        let thin = self.grid != Grid::FULL && !self.pilot;
         Some(TileNoise {
             sample_variance: variance * f64::from(self.samples()),
             variance,
@@ -369,6 +404,61 @@ mod tests {
         assert_eq!(tile.render(sample, &context, 0, Numbers::Independent), 0);
         assert!(tile.pilot && tile.replicates == held && *taken.get_mut() < 110);
         assert_eq!(tile.estimate(3, &plate, 1e-6), before);
+    }
+
+    /// A tile sampled on `grid` whose pixels all change by `change(x, y)`, without noise.
+    fn sparse(grid: Grid, width: usize, change: impl Fn(usize, usize) -> f32) -> Tile {
+        let mut tile = Tile::new(Block { x: 0, y: 0, width, height: 16 });
+        (tile.grid, tile.planned) = (grid, 4);
+        let sample = |x: usize, y: usize, _: Sampler| Sample {
+            local: 1.0,
+            plate: 1.0,
+            delta: Rgb::splat(change(x, y)),
+            without: Rgb::ONE,
+            ..Sample::default()
+        };
+        tile.render(sample, &Context::new(5), 0, Numbers::Independent);
+        tile.measure(&Image::filled(width, 16, Rgb::ONE), FLOORS);
+        tile
+    }
+
+    #[test]
+    fn pixels_between_the_sampled_ones_lie_between_them() {
+        for (stride, width) in [(2, 16), (4, 16), (4, 7), (4, 1)] {
+            let slope = |x: usize, y: usize| 0.01 * x as f32 - 0.02 * y as f32;
+            let grid = Grid { stride, scattered: false };
+            let tile = sparse(grid, width, slope);
+            let plate = Image::filled(width, 16, Rgb::ONE);
+            for k in 0..tile.block.n_pixels() {
+                let (x, y) = tile.block.pixel(k);
+                // Beyond the outermost samples it stays as there.
+                let held = |at: usize, size: usize| {
+                    let last = grid.first(size) + (grid.squares(size) - 1) * stride;
+                    at.clamp(grid.first(size), last)
+                };
+                let wanted = slope(held(x, width), held(y, 16));
+                let found = tile.estimate(k, &plate, 1e-6).unwrap().ratio.x;
+                assert!((found - wanted).abs() < 1e-5, "{stride} ({x}, {y}): {found} for {wanted}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_shadow_one_pixel_wide_keeps_its_tile_from_being_quiet() {
+        let scattered = Grid { stride: 2, scattered: true };
+        for (width, at) in (0..16).map(|at| (16, at)).chain((0..7).map(|at| (7, at))) {
+            let quiet = |line: &dyn Fn(usize, usize) -> bool| {
+                let change = |x, y| if line(x, y) { -0.5 } else { 0.0 };
+                sparse(scattered, width, change).noise.quiet
+            };
+            assert!(!quiet(&|x, _| x == at), "column {at}");
+            assert!(!quiet(&|_, y| y == at), "row {at}");
+            // A slanting line as thin covers about two pixels of a row.
+            let near = |x: usize, y: usize| (x + 2 * width - y % width - at) % width < 2;
+            assert!(!quiet(&near), "diagonal {at}");
+            assert!(!quiet(&|x, y| near(width - 1 - x, y)), "other diagonal {at}");
+        }
+        assert!(sparse(scattered, 16, |_, _| -0.002).noise.quiet);
     }
 
     #[test]

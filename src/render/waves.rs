@@ -1,8 +1,10 @@
 //! Waves: which pixels get how many samples, and when it is enough.
 //!
 //! Tiles in which the objects provably cannot be seen ([`Influence`]) get none. Elsewhere a pilot of
-//! two samples a pixel comes first and gives the first picture; it gives way to the samples it plans
-//! (a pixel that stops on its own luck is biased, methods-render R7.1). Then whole replicates are
+//! two samples in one pixel of four comes first and gives the first picture; it gives way to the
+//! samples it plans (a pixel that stops on its own luck is biased, methods-render R7.1). Tiles of one
+//! plain surface where nothing stands out of the pilot's noise are sampled in one pixel of sixteen, and
+//! the others lie between; if something stands out later, they begin anew. Then whole replicates are
 //! given to tiles of 16 × 16 pixels by the tile's pooled error over its influenced pixels, until the
 //! error over the influence region is what was asked. Which thread does what cannot change a bit:
 //! every sample is a function of its pixel, replicate and index, every tile has one owner, sums over
@@ -19,7 +21,7 @@ use super::job::Job;
 use super::primary::Primary;
 use super::refine::{Refinement, refine};
 use super::sampler::{Numbers, Sampler};
-use super::tile::{Floors, Tile};
+use super::tile::{Floors, Grid, Tile};
 use super::world::World;
 use super::{Context, Difference, Integrator, Progress, Stop, Wave};
 use crate::conventions::luminance;
@@ -34,10 +36,10 @@ const LEAST_REPLICATES: u32 = 4;
 const LEAST_SAMPLES: u32 = 1;
 const PILOT_REPLICATES: u32 = 2;
 /// The pilot samples one pixel of four.
-const PILOT_STRIDE: usize = 2;
+const PILOT_GRID: Grid = Grid { stride: 2, scattered: true };
 /// Where nothing stands out of the pilot's noise and one plain surface is seen, one pixel of sixteen
 /// is sampled, more often, and the others lie between: less noise for less work.
-const QUIET_STRIDE: usize = 4;
+const QUIET_GRID: Grid = Grid { stride: 4, scattered: false };
 const QUIET_SAMPLES: u32 = 4;
 /// Brightness below which errors are not magnified, relative to the plate's mean.
 const FLOOR: f32 = 0.02;
@@ -134,8 +136,9 @@ impl<E: Estimator> Waves<E> {
             // What was not looked at may be changed by any amount.
             let (bound, plain) = bound.unwrap_or((f32::INFINITY, false));
             tile.plain = plain;
-            tile.stride = PILOT_STRIDE;
             tile.doubtful = bound <= unseen && influence.may_focus && bound > 0.0;
+            // A focused reflection may be as thin as a line.
+            tile.grid = if tile.doubtful { Grid::FULL } else { PILOT_GRID };
             let matters = bound > unseen || tile.doubtful;
             tile.planned = if matters { PILOT_REPLICATES } else { 0 };
         }
@@ -160,7 +163,7 @@ impl<E: Estimator> Waves<E> {
     fn plan(&mut self) {
         let wanted = self.wanted_samples();
         for (tile, wanted) in self.tiles.iter_mut().zip(wanted) {
-            if tile.stride > 1 && !tile.pilot && !tile.noise.quiet {
+            if tile.grid != Grid::FULL && !tile.pilot && !tile.noise.quiet {
                 // Something stands out after all: begin anew in every pixel.
                 tile.pilot = true;
             }
@@ -168,10 +171,10 @@ impl<E: Estimator> Waves<E> {
             if tile.replicates == 0 {
                 tile.planned = 0;
             } else if tile.pilot && thin {
-                tile.stride_next = QUIET_STRIDE;
+                tile.grid_next = QUIET_GRID;
                 (tile.n_next, tile.planned) = (QUIET_SAMPLES, LEAST_REPLICATES);
             } else if tile.pilot {
-                tile.stride_next = 1;
+                tile.grid_next = Grid::FULL;
                 let per_replicate = (wanted / f64::from(REPLICATES)).max(1.0) as u32;
                 let n = (1 << per_replicate.ilog2()).min(LARGEST_REPLICATE);
                 (tile.n_next, tile.planned) = match self.stop {

@@ -6,7 +6,7 @@
 use glam::{DVec2, Vec2, Vec3};
 
 use super::albedo::AlbedoMap;
-use super::blocked::{CELLS, MOST_IN_SMALL, SMALL_CELL};
+use super::blocked::{CELLS, MOST_CELLS, MOST_IN_SMALL, SMALL_CELL};
 use super::sampler::{Purpose, Sampler};
 use super::skylight::Skylight;
 use super::surface::{LocalPoint, ObjectPoint, Surface};
@@ -90,7 +90,7 @@ impl<'a> World<'a> {
             eye: (camera.pose.position() - scene.origin).as_vec3(),
             albedo: AlbedoMap::unknown(scene),
             skylight: Skylight::new(scene, lights),
-            by_cells: cells.share_of_small(SMALL_CELL) < MOST_IN_SMALL,
+            by_cells: cells.len() <= MOST_CELLS && cells.share_of_small(SMALL_CELL) < MOST_IN_SMALL,
             cells,
             scene,
             lights,

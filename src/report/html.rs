@@ -6,7 +6,7 @@ use std::path::Path;
 
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
-use super::text::per_cent;
+use super::text::{denoised, per_cent};
 use super::{CameraReport, Picture, Report, ReportError, Warning, counted, photographs};
 
 const STYLE: &str = "
@@ -268,7 +268,7 @@ fn render(report: &Report) -> Markup {
     rows(&[
         ("method", r.method.clone()),
         ("stop at", r.stop.clone()),
-        ("error reached", format!("{} of the plate", per_cent(r.error))),
+        ("error reached", format!("{} of the plate{}", per_cent(r.error), denoised(r.denoised))),
         (
             "camera samples",
             format!(

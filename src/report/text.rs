@@ -33,8 +33,9 @@ pub fn summary(report: &Report) -> String {
     }
     let render = &report.render;
     lines.push(format!(
-        "render   error {} in {:.1} s{}, {} samples{}",
+        "render   error {}{} in {:.1} s{}, {} samples{}",
         per_cent(render.error),
+        denoised(render.denoised),
         render.seconds,
         render.cpu_seconds.map_or(String::new(), |s| format!(" ({s:.1} CPU s)")),
         render.samples,
@@ -52,6 +53,13 @@ pub fn summary(report: &Report) -> String {
 
 fn plus_minus(sigma: Option<f64>, digits: usize, unit: &str) -> String {
     sigma.map_or(String::new(), |s| format!(" ± {s:.digits$}{unit}"))
+}
+
+/// That the picture was denoised, and what that was worth.
+pub(super) fn denoised(gain: Option<f64>) -> String {
+    gain.map_or(String::new(), |gain| {
+        format!(" (denoised: {gain:.1} times less than the samples')")
+    })
 }
 
 /// A share as per cent with two figures that count.
