@@ -2,8 +2,9 @@
 //!
 //! Read: nodes with their transforms, triangle lists, strips and fans, normals, two sets of texture
 //! coordinates, tangents, vertex colours, sparse accessors, materials with the extensions of
-//! [`SUPPORTED`]. Skins and morph targets stay in their rest pose, with a warning; points, lines,
-//! cameras, lights and animations are left out. Nothing outside the file's own folder is opened.
+//! [`SUPPORTED`](super::gltf_extensions::SUPPORTED). Skins and morph targets stay in their rest pose,
+//! with a warning; points, lines, cameras, lights and animations are left out. Nothing outside the
+//! file's own folder is opened.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -17,22 +18,10 @@ use super::assemble::{normal_matrix, transform_normals, transform_tangents, turn
 use super::budget::Budget;
 use super::buffers::{Buffers, Container, MAX_ELEMENTS, named_file, split};
 use super::files::read_file;
+use super::gltf_extensions::{may_be_required, names, remarks};
 use super::gltf_material::MaterialReader;
+use super::gltf_place;
 use super::{Model, ModelMesh, SceneError};
-
-/// Extensions that are read and meant.
-pub const SUPPORTED: [&str; 7] = [
-    "KHR_materials_emissive_strength",
-    "KHR_materials_ior",
-    "KHR_materials_specular",
-    "KHR_materials_transmission",
-    "KHR_materials_volume",
-    "KHR_mesh_quantization",
-    "KHR_texture_transform",
-];
-
-/// Extensions that change nothing of what is rendered here, or are warned about where they are met.
-const HARMLESS: [&str; 2] = ["KHR_lights_punctual", "KHR_materials_unlit"];
 
 /// Reads the default scene of a glTF file (the first if none is named).
 pub fn read(path: &Path) -> Result<Model, SceneError> {
@@ -74,16 +63,10 @@ fn parse(path: &Path, json: &[u8]) -> Result<(gltf::Document, Vec<String>), Scen
     };
     let mut value: Value =
         gltf::json::deserialize::from_slice(json).map_err(|e| broken("JSON", e.to_string()))?;
-    let names = |value: &Value, key: &str| -> Vec<String> {
-        let names = value.get(key).and_then(Value::as_array).into_iter().flatten();
-        names.filter_map(Value::as_str).map(String::from).collect()
-    };
-    let known = |name: &str| SUPPORTED.contains(&name) || HARMLESS.contains(&name);
-    if let Some(name) = names(&value, "extensionsRequired").into_iter().find(|name| !known(name)) {
-        return Err(SceneError::RequiredExtension { path: path.into(), name });
+    if let Some(name) = names(&value, "extensionsRequired").find(|name| !may_be_required(name)) {
+        return Err(SceneError::RequiredExtension { path: path.into(), name: name.into() });
     }
-    let unread = names(&value, "extensionsUsed").into_iter().filter(|name| !known(name));
-    let warnings = unread.map(|name| format!("extension {name} is not read")).collect();
+    let warnings = remarks(&value);
     // Judged above; the crate's own list is shorter than what is read here.
     if let Some(object) = value.as_object_mut() {
         object.remove("extensionsRequired");
@@ -95,8 +78,9 @@ fn parse(path: &Path, json: &[u8]) -> Result<(gltf::Document, Vec<String>), Scen
             accessor.insert(key.into(), Value::from(vec![0.0; 3]));
         }
     }
-    let root: gltf::json::Root =
-        gltf::json::deserialize::from_value(value).map_err(|e| broken("JSON", e.to_string()))?;
+    let root: gltf::json::Root = <gltf::json::Root as serde::Deserialize>::deserialize(&value)
+        .map_err(|e| broken(&gltf_place::of_wrong_type(&value), e.to_string()))?;
+    drop(value);
     // The crate's validation looks the positions up before it has judged their number.
     for (i, mesh) in root.meshes.iter().enumerate() {
         let accessors = mesh.primitives.iter().flat_map(|primitive| primitive.attributes.values());

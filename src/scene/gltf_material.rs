@@ -14,8 +14,8 @@ use super::{AlphaMode, Material, SceneError, Texture, TextureRef};
 
 /// Reads materials and, once each, the textures they use.
 pub(super) struct MaterialReader<'a> {
-    path: &'a Path,
-    document: &'a gltf::Document,
+    pub(super) path: &'a Path,
+    pub(super) document: &'a gltf::Document,
     buffers: &'a Buffers<'a>,
     /// By glTF image, meaning and wrap along u and v: the same picture may be colour here and
     /// numbers there, and any number of glTF textures may show it.
@@ -100,6 +100,8 @@ impl<'a> MaterialReader<'a> {
             result.specular_colour_texture =
                 self.info(specular.specular_color_texture(), TexelMeaning::Colour, &place)?;
         }
+        result.sheen = self.sheen(material, &place)?;
+        result.clearcoat = self.clearcoat(material, &place)?;
         if material.unlit() {
             self.warnings.push(format!("{place}: KHR_materials_unlit is lit like any other"));
         }
@@ -142,6 +144,16 @@ impl<'a> MaterialReader<'a> {
         fraction(&mut material.attenuation_colour.x, "attenuation colour");
         fraction(&mut material.attenuation_colour.y, "attenuation colour");
         fraction(&mut material.attenuation_colour.z, "attenuation colour");
+        if let Some(sheen) = &mut material.sheen {
+            fraction(&mut sheen.colour.x, "sheen colour");
+            fraction(&mut sheen.colour.y, "sheen colour");
+            fraction(&mut sheen.colour.z, "sheen colour");
+            fraction(&mut sheen.roughness, "sheen roughness");
+        }
+        if let Some(coat) = &mut material.clearcoat {
+            fraction(&mut coat.factor, "clearcoat");
+            fraction(&mut coat.roughness, "clearcoat roughness");
+        }
         let mut at_least = |value: &mut f32, least: f32, instead: f32, name: &'static str| {
             if value.is_nan() || *value < least {
                 outside.push(name);
@@ -191,7 +203,7 @@ impl<'a> MaterialReader<'a> {
         self.reference(&info.texture(), meaning, uv_set, uv_transform, place)
     }
 
-    fn reference(
+    pub(super) fn reference(
         &mut self,
         texture: &gltf::Texture,
         meaning: TexelMeaning,
@@ -302,7 +314,7 @@ fn uv_affine(offset: Vec2, rotation: f32, scale: Vec2) -> Affine2 {
 }
 
 /// The same from raw JSON (the crate parses it for ordinary textures only), and its `texCoord`.
-fn transform_of_json(value: Option<&Value>) -> (Affine2, Option<u32>) {
+pub(super) fn transform_of_json(value: Option<&Value>) -> (Affine2, Option<u32>) {
     let Some(value) = value else { return (Affine2::IDENTITY, None) };
     let number = |value: &Value| value.as_f64().map(|x| x as f32);
     let pair = |key: &str| {

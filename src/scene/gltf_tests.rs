@@ -326,6 +326,112 @@ fn materials_carry_their_extensions() {
     assert_eq!(at.specular_colour, Vec3::new(1.0, 2.0, 3.0));
 }
 
+/// Reads a triangle whose one material is `material`, with a texture of one red texel, and more JSON.
+fn read_material(material: &str, more: &str) -> Result<Model, SceneError> {
+    let mut png = Vec::new();
+    let texel = image::RgbaImage::from_pixel(1, 1, image::Rgba([255, 51, 0, 102]));
+    texel.write_to(&mut std::io::Cursor::new(&mut png), image::ImageFormat::Png).unwrap();
+    let more = format!(
+        r#"{ONE_NODE}{more},"materials":[{material}],"textures":[{{"source":0}}],
+        "images":[{{"uri":"data:image/png;base64,{}"}}]"#,
+        base64(&png)
+    );
+    read_with(&triangle(r#","material":0"#, POSITIONS, VIEW, &more), &floats(&CORNERS))
+}
+
+#[test]
+fn sheen_and_clearcoat_are_read_with_their_textures() {
+    let material = r#"{"extensions":{
+        "KHR_materials_sheen":{"sheenColorFactor":[0.5,1,0.25],"sheenColorTexture":{"index":0},
+            "sheenRoughnessFactor":0.5,"sheenRoughnessTexture":{"index":0}},
+        "KHR_materials_clearcoat":{"clearcoatFactor":0.5,"clearcoatTexture":{"index":0},
+            "clearcoatRoughnessFactor":0.8,"clearcoatRoughnessTexture":{"index":0},
+            "clearcoatNormalTexture":{"index":0,"scale":2,"texCoord":0,"extensions":{
+                "KHR_texture_transform":{"texCoord":1,"scale":[3,1]}}}}}}"#;
+    let model = read_material(material, "").unwrap();
+    let at = model.materials[0].evaluate(&model.textures, [Vec2::ZERO; 2], Vec4::ONE);
+    // The texel is (1, 0.2, 0), alpha 0.4; sheen colours are sRGB: 0.2 is 0.0331 linear.
+    assert!((at.sheen_colour - Vec3::new(0.5, 0.033_1, 0.0)).length() < 1e-4);
+    assert!((at.sheen_roughness - 0.5 * 0.4).abs() < 1e-6, "{}", at.sheen_roughness);
+    assert_eq!(at.clearcoat, 0.5);
+    assert!((at.clearcoat_roughness - 0.8 * 0.2).abs() < 1e-6, "{}", at.clearcoat_roughness);
+    let coat = model.materials[0].clearcoat.as_ref().unwrap();
+    let map = coat.normal_texture.as_ref().unwrap();
+    // The transform's own set of coordinates counts before the texture's.
+    assert_eq!((coat.normal_scale, map.uv_set), (2.0, 1));
+    assert_eq!(map.uv_transform.matrix2.x_axis.x, 3.0);
+    // No TEXCOORD_0 nor _1 stands in the mesh: both are missed, nothing else is.
+    assert_eq!(model.warnings.len(), 2, "{:?}", model.warnings);
+}
+
+#[test]
+fn layers_are_off_by_the_extensions_own_defaults() {
+    let material = r#"{"extensions":{"KHR_materials_sheen":{},"KHR_materials_clearcoat":{}}}"#;
+    let model = read_material(material, "").unwrap();
+    let at = model.materials[0].evaluate(&model.textures, [Vec2::ZERO; 2], Vec4::ONE);
+    assert_eq!((at.sheen_colour, at.clearcoat), (Vec3::ZERO, 0.0));
+    let mad = r#"{"extensions":{"KHR_materials_clearcoat":{"clearcoatFactor":7},
+        "KHR_materials_sheen":{"sheenColorFactor":[-1,2,0]}}}"#;
+    let model = read_material(mad, "").unwrap();
+    assert!(model.warnings[0].contains("clearcoat") && model.warnings[0].contains("sheen colour"));
+    assert_eq!(model.materials[0].clearcoat.as_ref().unwrap().factor, 1.0);
+}
+
+#[test]
+fn values_of_the_wrong_type_are_named_by_their_place() {
+    let sheen = |fields: &str| format!(r#"{{"extensions":{{"KHR_materials_sheen":{fields}}}}}"#);
+    let coat = |fields: &str| format!(r#"{{"extensions":{{"KHR_materials_clearcoat":{fields}}}}}"#);
+    let at = "materials[0].extensions.KHR_materials_";
+    for (material, place, found) in [
+        (sheen("[]"), "sheen", "[]"),
+        (sheen(r#"{"sheenColorFactor":"red"}"#), "sheen.sheenColorFactor", "\"red\""),
+        (sheen(r#"{"sheenColorFactor":[1,2]}"#), "sheen.sheenColorFactor", "[1,2]"),
+        (sheen(r#"{"sheenColorFactor":[0,1e39,0]}"#), "sheen.sheenColorFactor", "39"),
+        (sheen(r#"{"sheenRoughnessFactor":null}"#), "sheen.sheenRoughnessFactor", "null"),
+        (sheen(r#"{"sheenColorTexture":{}}"#), "sheen.sheenColorTexture.index", "nothing"),
+        (sheen(r#"{"sheenColorTexture":{"index":9}}"#), "sheen.sheenColorTexture.index", "9 of 1"),
+        (
+            coat(r#"{"clearcoatTexture":{"index":0,"texCoord":-1}}"#),
+            "clearcoat.clearcoatTexture.texCoord",
+            "-1",
+        ),
+        (coat(r#"{"clearcoatFactor":[1]}"#), "clearcoat.clearcoatFactor", "[1]"),
+        // Those that the crate parses, which tells no place
+        (r#"{"extensions":{"KHR_materials_ior":{"ior":"x"}}}"#.into(), "ior.ior", "f32"),
+        (
+            r#"{"extensions":{"KHR_materials_volume":{"thicknessTexture":[]}}}"#.into(),
+            "volume.thicknessTexture",
+            "",
+        ),
+    ] {
+        let error = read_material(&material, "").unwrap_err().to_string();
+        assert!(error.contains(&format!("{at}{place}: ")) && error.contains(found), "{error}");
+    }
+    let error = read_material(r#"{"alphaMode":"MASK","doubleSided":3}"#, "").unwrap_err();
+    assert!(error.to_string().contains("materials[0].doubleSided: "), "{error}");
+}
+
+#[test]
+fn extensions_that_are_only_used_are_named_with_what_is_lost() {
+    for (name, lost) in [
+        ("KHR_materials_iridescence", "films"),
+        ("KHR_materials_anisotropy", "brush"),
+        ("KHR_materials_dispersion", "colours alike"),
+        ("KHR_materials_diffuse_transmission", "leaves"),
+        ("KHR_lights_punctual", "lamps"),
+        ("ACME_unheard_of", "is not read"),
+    ] {
+        let model = read_material("{}", &format!(r#","extensionsUsed":["{name}"]"#)).unwrap();
+        let told = |warning: &String| warning.contains(name) && warning.contains(lost);
+        assert!(model.warnings.len() == 1 && told(&model.warnings[0]), "{:?}", model.warnings);
+    }
+    for name in ["KHR_materials_iridescence", "KHR_draco_mesh_compression", "ACME_unheard_of"] {
+        let required = format!(r#","extensionsUsed":["{name}"],"extensionsRequired":["{name}"]"#);
+        let error = read_material("{}", &required).unwrap_err();
+        assert!(matches!(error, SceneError::RequiredExtension { .. }), "{error}");
+    }
+}
+
 #[test]
 fn without_a_material_the_format_s_own_default_counts() {
     let body = triangle("", POSITIONS, VIEW, ONE_NODE);

@@ -6,7 +6,7 @@
 
 use glam::{Affine2, Vec2, Vec3, Vec4};
 
-use super::Texture;
+use super::{Clearcoat, Sheen, Texture};
 use crate::conventions::Rgb;
 
 /// A glTF 2.0 metallic-roughness material with the extensions Platelight renders.
@@ -44,6 +44,9 @@ pub struct Material {
     pub specular_texture: Option<TextureRef>,
     pub specular_colour: Rgb,
     pub specular_colour_texture: Option<TextureRef>,
+    pub sheen: Option<Sheen>,
+    /// Above everything else, the sheen too.
+    pub clearcoat: Option<Clearcoat>,
 }
 
 impl Default for Material {
@@ -72,6 +75,8 @@ impl Default for Material {
             specular_texture: None,
             specular_colour: Vec3::ONE,
             specular_colour_texture: None,
+            sheen: None,
+            clearcoat: None,
         }
     }
 }
@@ -130,6 +135,14 @@ pub struct SurfaceParameters {
     /// Weight of the dielectric reflection; 0 = exactly Lambert.
     pub specular: f32,
     pub specular_colour: Rgb,
+    /// Black = no sheen.
+    pub sheen_colour: Rgb,
+    /// Perceptual; Charlie's α = roughness².
+    pub sheen_roughness: f32,
+    /// Share of the surface that is coated; 0 = no coat.
+    pub clearcoat: f32,
+    /// Perceptual; GGX α = roughness².
+    pub clearcoat_roughness: f32,
 }
 
 impl Material {
@@ -147,7 +160,7 @@ impl Material {
         };
         let base = self.base_colour * vertex_colour * sample(&self.base_colour_texture);
         let rough_metal = sample(&self.metallic_roughness_texture);
-        SurfaceParameters {
+        let mut at = SurfaceParameters {
             base_colour: base.truncate().max(Vec3::ZERO),
             alpha: self.alpha_mode.coverage(base.w),
             metallic: (self.metallic * rough_metal.z).clamp(0.0, 1.0),
@@ -162,7 +175,18 @@ impl Material {
             specular: self.specular * sample(&self.specular_texture).w,
             specular_colour: self.specular_colour
                 * sample(&self.specular_colour_texture).truncate(),
+            sheen_colour: Vec3::ZERO,
+            sheen_roughness: 0.0,
+            clearcoat: 0.0,
+            clearcoat_roughness: 0.0,
+        };
+        if let Some(sheen) = &self.sheen {
+            sheen.evaluate(sample, &mut at);
         }
+        if let Some(coat) = &self.clearcoat {
+            coat.evaluate(sample, &mut at);
+        }
+        at
     }
 
     /// Only [`SurfaceParameters::alpha`]: cheap enough to ask during the walk of a ray.
@@ -178,9 +202,7 @@ impl Material {
     /// The shading normal in the tangent frame (x along the tangent, z the interpolated normal),
     /// unit; `None` if the material has no normal map.
     pub fn tangent_normal(&self, textures: &[Texture], uvs: [Vec2; 2]) -> Option<Vec3> {
-        let texel = self.normal_texture.as_ref()?.sample(textures, uvs).truncate();
-        let scale = Vec3::new(self.normal_scale, self.normal_scale, 1.0);
-        (scale * (2.0 * texel - 1.0)).try_normalize()
+        tangent_normal(self.normal_texture.as_ref()?, self.normal_scale, textures, uvs)
     }
 
     /// The sets of texture coordinates that its textures need, ascending.
@@ -202,7 +224,20 @@ impl Material {
         ]
         .into_iter()
         .flatten()
+        .chain(self.sheen.iter_mut().flat_map(Sheen::texture_refs_mut))
+        .chain(self.clearcoat.iter_mut().flat_map(Clearcoat::texture_refs_mut))
     }
+}
+
+/// What a normal map holds at a point, x and y times `scale`; unit.
+pub(super) fn tangent_normal(
+    map: &TextureRef,
+    scale: f32,
+    textures: &[Texture],
+    uvs: [Vec2; 2],
+) -> Option<Vec3> {
+    let texel = map.sample(textures, uvs).truncate();
+    (Vec3::new(scale, scale, 1.0) * (2.0 * texel - 1.0)).try_normalize()
 }
 
 impl AlphaMode {

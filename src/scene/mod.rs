@@ -12,9 +12,13 @@ mod error;
 mod file_tests;
 mod files;
 pub mod gltf;
+pub mod gltf_extensions;
+mod gltf_layers;
 mod gltf_material;
+mod gltf_place;
 #[cfg(test)]
 mod gltf_tests;
+pub mod layers;
 pub mod material;
 pub mod mesh;
 pub mod model;
@@ -26,6 +30,7 @@ pub mod texture;
 
 pub use bounds::Bounds;
 pub use error::SceneError;
+pub use layers::{Clearcoat, Sheen};
 pub use material::{AlphaMode, Material, SurfaceParameters, TextureRef};
 pub use mesh::Mesh;
 pub use model::{Model, ModelMesh};

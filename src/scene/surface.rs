@@ -2,7 +2,7 @@
 
 use glam::{Vec2, Vec3, Vec4};
 
-use super::{Material, Mesh, Scene, SurfaceParameters, TextureRef};
+use super::{Mesh, Scene, SurfaceParameters, TextureRef};
 
 /// Which of the scene's two lists a mesh is in.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -22,6 +22,8 @@ pub struct Surface {
     pub geometric_normal: Vec3,
     /// Unit, interpolated and normal-mapped, always on the side of `geometric_normal`.
     pub shading_normal: Vec3,
+    /// As `shading_normal`, of the clear coat: bent by the coat's own normal map alone.
+    pub coat_normal: Vec3,
     /// Unit, perpendicular to `shading_normal`, along growing u where there are texture coordinates.
     pub tangent: Vec3,
     /// Unit, completes the right-handed frame (tangent, bitangent, shading normal).
@@ -78,13 +80,20 @@ impl Scene {
             .map_or(geometric_normal, |n| if n.dot(geometric_normal) < 0.0 { -n } else { n });
         let map = material.normal_texture.as_ref();
         let frame = tangent_frame(mesh, map, indices, weights, corners, interpolated);
-        let shading_normal = self.mapped_normal(material, uvs, frame, geometric_normal);
+        let mapped = material.tangent_normal(&self.textures, uvs);
+        let shading_normal = bent_normal(mapped, frame, geometric_normal);
+        let coat_normal = material.clearcoat.as_ref().map_or(interpolated, |coat| {
+            let map = coat.normal_texture.as_ref();
+            let frame = tangent_frame(mesh, map, indices, weights, corners, interpolated);
+            bent_normal(coat.tangent_normal(&self.textures, uvs), frame, geometric_normal)
+        });
         let (tangent, bitangent) = perpendicular(shading_normal, frame[0]);
 
         Surface {
             position,
             geometric_normal,
             shading_normal,
+            coat_normal,
             tangent,
             bitangent,
             uvs,
@@ -118,25 +127,23 @@ impl Scene {
             Place::Local => !self.local.iter().all(|local| opaque(&local.mesh)),
         }
     }
+}
 
-    /// The normal map's normal, kept on the side of the geometric one.
-    fn mapped_normal(
-        &self,
-        material: &Material,
-        uvs: [Vec2; 2],
-        [tangent, bitangent, normal]: [Vec3; 3],
-        geometric_normal: Vec3,
-    ) -> Vec3 {
-        let Some(local) = material.tangent_normal(&self.textures, uvs) else { return normal };
-        let mapped = (local.x * tangent + local.y * bitangent + local.z * normal).normalize();
-        let above = mapped.dot(geometric_normal);
-        // Below the horizon of the real surface no light can come from: lift onto it.
-        let least = 1e-3;
-        if above >= least {
-            mapped
-        } else {
-            (mapped + (least - above) * geometric_normal).normalize_or(normal)
-        }
+/// A normal map's normal, kept on the side of the geometric one; the frame's own without a map.
+fn bent_normal(
+    local: Option<Vec3>,
+    [tangent, bitangent, normal]: [Vec3; 3],
+    geometric_normal: Vec3,
+) -> Vec3 {
+    let Some(local) = local else { return normal };
+    let mapped = (local.x * tangent + local.y * bitangent + local.z * normal).normalize();
+    let above = mapped.dot(geometric_normal);
+    // Below the horizon of the real surface no light can come from: lift onto it.
+    let least = 1e-3;
+    if above >= least {
+        mapped
+    } else {
+        (mapped + (least - above) * geometric_normal).normalize_or(normal)
     }
 }
 
@@ -239,7 +246,7 @@ fn perpendicular(normal: Vec3, along: Vec3) -> (Vec3, Vec3) {
 mod tests {
     use super::*;
     use crate::photo::Image;
-    use crate::scene::{Texture, TextureRef, Wrap};
+    use crate::scene::{Clearcoat, Material, Texture, TextureRef, Wrap};
 
     /// A square in the plane z = 0 seen from +z, picture upright on it.
     fn square(size: f32, material: Material, textures: Vec<Texture>) -> Scene {
@@ -309,6 +316,30 @@ mod tests {
         close(shaded(0, mirror, upward), Vec3::new(-0.8, 0.0, 0.6));
         let turned = Affine2::from_mat2(Mat2::from_cols(Vec2::new(0.0, -1.0), Vec2::X));
         close(shaded(0, turned, upward), Vec3::new(0.0, -0.8, 0.6));
+    }
+
+    #[test]
+    fn a_coat_lies_smooth_over_a_bumpy_base_and_follows_its_own_map() {
+        let tilted =
+            |texel| Texture::from_linear(Image::filled(1, 1, texel), [Wrap::Repeat; 2]).unwrap();
+        let map = |texture| {
+            let uv_transform = glam::Affine2::IDENTITY;
+            Some(TextureRef { texture, uv_set: 0, uv_transform })
+        };
+        let textures =
+            vec![tilted(Vec4::new(0.9, 0.5, 0.8, 1.0)), tilted(Vec4::new(0.5, 0.9, 0.8, 1.0))];
+        let normals = |normal_texture| {
+            let clearcoat = Some(Clearcoat { factor: 1.0, normal_texture, ..Clearcoat::default() });
+            let material = Material { normal_texture: map(0), clearcoat, ..Material::default() };
+            let scene = square(1.0, material, textures.clone());
+            let at = scene.surface(Place::Object, 0, 0, 0.2, 0.2);
+            (at.shading_normal, at.coat_normal)
+        };
+        let (base, smooth) = normals(None);
+        assert!((base - Vec3::new(0.8, 0.0, 0.6)).length() < 1e-6 && smooth == Vec3::Z);
+        let (base, own) = normals(map(1));
+        assert!((base - Vec3::new(0.8, 0.0, 0.6)).length() < 1e-6);
+        assert!((own - Vec3::new(0.0, 0.8, 0.6)).length() < 1e-6, "{own}");
     }
 
     #[test]

@@ -27,13 +27,17 @@ pub fn of(format: &str) -> Vec<Seed> {
             ("p3", profile(moxcms::ColorProfile::new_display_p3())),
             ("adobe", profile(moxcms::ColorProfile::new_adobe_rgb())),
         ],
-        "gltf" => vec![("triangle", gltf("\"data:application/octet-stream;base64,AAAAAAAAAAAAAAAAAACAPwAAAAAAAAAAAAAAAAAAgD8AAAAAAAABAAIA\"").into())],
+        "gltf" => {
+            vec![("layers", layers().into()), ("triangle", gltf(TRIANGLE, ORANGE, "").into())]
+        }
         "glb" => vec![("triangle", glb())],
         "obj" => vec![("square", OBJ.into())],
         "mtl" => vec![("gold", MTL.into())],
         "shot" => vec![("shot", SHOT.into())],
         "camera" => vec![("json", CAMERA.into()), ("yaml", YAML.into()), ("colmap", COLMAP.into())],
-        "times" => vec![("named", b"b.jpg 1/4\na.jpg 2\n".into()), ("plain", b"0.5\n1/60\n".into())],
+        "times" => {
+            vec![("named", b"b.jpg 1/4\na.jpg 2\n".into()), ("plain", b"0.5\n1/60\n".into())]
+        }
         _ => panic!("no seeds for {format}"),
     }
 }
@@ -198,12 +202,21 @@ fn exif() -> Vec<u8> {
 }
 
 /// One triangle whose buffer is `uri`.
-fn gltf(uri: &str) -> String {
+/// The buffer of [`gltf`]: three corners and their indices.
+const TRIANGLE: &str = "\"data:application/octet-stream;base64,AAAAAAAAAAAAAAAAAACAPwAAAAAAAAAAAAAAAAAAgD8AAAAAAAABAAIA\"";
+
+/// A picture of one texel.
+const TEXEL: &str = "data:image/png;base64,iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAYAAAAfFcSJAAAADUlEQVR4nGP438BwAgAGSQJIAdHolgAAAABJRU5ErkJggg==";
+
+const ORANGE: &str = r#""pbrMetallicRoughness":{"baseColorFactor":[1,0.5,0,1],"metallicFactor":0}"#;
+
+/// A triangle of `material`, its buffer at `uri`; `more` goes to the top of the document.
+fn gltf(uri: &str, material: &str, more: &str) -> String {
     format!(
-        r#"{{"asset":{{"version":"2.0"}},"scene":0,"scenes":[{{"nodes":[0]}}],
+        r#"{{"asset":{{"version":"2.0"}},"scene":0,"scenes":[{{"nodes":[0]}}],{more}
 "nodes":[{{"mesh":0,"translation":[0,1,0]}}],
 "meshes":[{{"primitives":[{{"attributes":{{"POSITION":0}},"indices":1,"material":0}}]}}],
-"materials":[{{"pbrMetallicRoughness":{{"baseColorFactor":[1,0.5,0,1],"metallicFactor":0}}}}],
+"materials":[{{{material}}}],
 "buffers":[{{"byteLength":42,"uri":{uri}}}],
 "bufferViews":[{{"buffer":0,"byteLength":36}},{{"buffer":0,"byteOffset":36,"byteLength":6}}],
 "accessors":[{{"bufferView":0,"componentType":5126,"count":3,"type":"VEC3","min":[0,0,0],"max":[1,1,0]}},
@@ -211,8 +224,27 @@ fn gltf(uri: &str) -> String {
     )
 }
 
+/// The triangle with every extension of materials that is read.
+fn layers() -> String {
+    let turned = r#"{"index":0,"texCoord":1,"extensions":{"KHR_texture_transform":{"offset":[0,1],"rotation":1,"texCoord":0}}}"#;
+    let material = format!(
+        r#"{ORANGE},"emissiveFactor":[1,0,0],"extensions":{{
+"KHR_materials_sheen":{{"sheenColorFactor":[1,0.5,0],"sheenColorTexture":{{"index":0}},"sheenRoughnessFactor":0.5,"sheenRoughnessTexture":{turned}}},
+"KHR_materials_clearcoat":{{"clearcoatFactor":0.5,"clearcoatTexture":{{"index":0}},"clearcoatRoughnessFactor":0.2,"clearcoatRoughnessTexture":{turned},
+"clearcoatNormalTexture":{{"index":0,"scale":0.5}}}},
+"KHR_materials_transmission":{{"transmissionFactor":0.5,"transmissionTexture":{turned}}},
+"KHR_materials_volume":{{"thicknessFactor":1,"attenuationDistance":2,"attenuationColor":[1,0,0]}},
+"KHR_materials_specular":{{"specularFactor":0.5,"specularColorTexture":{{"index":0}}}},
+"KHR_materials_ior":{{"ior":1.4}},"KHR_materials_emissive_strength":{{"emissiveStrength":3}}}}"#
+    );
+    let more = format!(
+        r#""textures":[{{"source":0,"sampler":0}}],"samplers":[{{"wrapS":33071}}],"images":[{{"uri":"{TEXEL}"}}],"#
+    );
+    gltf(TRIANGLE, &material, &more)
+}
+
 fn glb() -> Vec<u8> {
-    let mut json = gltf("0").replace(",\"uri\":0", "").into_bytes();
+    let mut json = gltf("0", ORANGE, "").replace(",\"uri\":0", "").into_bytes();
     json.resize(json.len().next_multiple_of(4), b' ');
     let mut binary: Vec<u8> = [0f32, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0]
         .iter()
