@@ -6,9 +6,11 @@
 pub mod albedo;
 pub mod blocked;
 pub mod bsdf;
+pub mod coat;
 pub mod cones;
 pub mod coupled;
 pub mod denoise;
+pub mod energy;
 pub mod film;
 pub mod fresnel;
 pub mod ggx;
@@ -18,6 +20,7 @@ pub mod job;
 pub mod primary;
 pub mod refine;
 pub mod sampler;
+pub mod sheen;
 pub mod skylight;
 pub mod surface;
 pub mod tile;
@@ -27,6 +30,8 @@ pub mod world;
 
 #[cfg(test)]
 mod agreement_tests;
+#[cfg(test)]
+mod bsdf_tests;
 #[cfg(test)]
 mod closed_form_tests;
 #[cfg(test)]

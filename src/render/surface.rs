@@ -3,7 +3,9 @@
 use glam::Vec3;
 
 use super::bsdf::Bsdf;
+use super::coat::Coat;
 use super::fresnel;
+use super::sheen::Sheen;
 use crate::conventions::Rgb;
 use crate::scene::{self, AlbedoSource, Place, Scene, SurfaceParameters};
 use crate::trace::{Hit, Ray};
@@ -75,6 +77,7 @@ impl Surface {
         };
         let wo = surface.to_local(toward);
         surface.wo = Vec3::new(wo.x, wo.y, wo.z.max(1e-6)).normalize();
+        surface.bsdf.coat = coat_of(&surface, facing(surface.at.coat_normal));
         surface
     }
 
@@ -114,10 +117,12 @@ impl ObjectPoint {
         let glassy = parameters.transmission > 0.0 && parameters.solid;
         let bsdf = bsdf_of(parameters, from_behind && glassy);
         let dark = from_behind && !parameters.double_sided;
+        let surface = Surface::new(at, ray, at.shading_normal, bsdf);
+        let emissive = if dark { Rgb::ZERO } else { parameters.emissive };
         Self {
-            emitted: if dark { Rgb::ZERO } else { parameters.emissive },
+            emitted: emissive * surface.bsdf.let_out(surface.wo),
             inside: (from_behind && glassy).then(|| attenuation_per_metre(parameters)),
-            surface: Surface::new(at, ray, at.shading_normal, bsdf),
+            surface,
         }
     }
 }
@@ -158,7 +163,25 @@ fn bsdf_of(at: &SurfaceParameters, leaving: bool) -> Bsdf {
         transmission: at.transmission,
         eta: if leaving { 1.0 / at.ior } else { at.ior },
         thin: !at.solid,
+        sheen: Sheen::new(at.sheen_colour, at.sheen_roughness).filter(|_| !leaving),
+        coat: None,
     }
+}
+
+/// The clear coat of a surface, none from inside glass; `normal` is the coat's own, in the world.
+fn coat_of(surface: &Surface, normal: Vec3) -> Option<Coat> {
+    let parameters = &surface.at.parameters;
+    let glassy = parameters.transmission > 0.0 && parameters.solid;
+    if parameters.clearcoat <= 0.0 || (glassy && surface.bsdf.eta < 1.0) {
+        return None;
+    }
+    let normal = surface.to_local(normal);
+    Some(Coat {
+        weight: parameters.clearcoat,
+        alpha: parameters.clearcoat_roughness * parameters.clearcoat_roughness,
+        // As of the shading normal: it may turn away from a ray that the triangle faces.
+        normal: if normal.dot(surface.wo) < 1e-4 { fresnel::UP } else { normal },
+    })
 }
 
 /// Beer's law per metre (KHR_materials_volume).
