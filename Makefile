@@ -1,4 +1,5 @@
-# make demo: the whole pipeline on the demo shot.   make test: every test.
+# make demo: the whole pipeline on the demo shot.   make test: the tests.
+# make test-long: the demo shot made anew as well.   make bench: the speed of the parts.
 # Both install the system packages the build needs where they are missing (Debian, Ubuntu).
 
 .PHONY: demo test test-long bench system clean
