@@ -244,6 +244,8 @@ pub struct Surroundings<'a> {
     pub plan: &'a Plan,
     pub camera: &'a Camera,
     pub scene: &'a Scene,
+    /// Built over the meshes of `scene.local`, in their order.
+    pub local: &'a Accel,
 }
 
 /// Brings the panorama to the plate's scale, judges clipped lights, and splits off suns.
@@ -389,15 +391,13 @@ fn recover(
     let half_width = 0.5 * sun.width_deg().to_radians();
     // Half as much again: blooming and the resampler spread a clipped disc over its neighbours.
     take_out(panorama, sun.direction, 1.5 * half_width);
-    let meshes: Vec<_> = around.scene.local.iter().map(|local| &local.mesh).collect();
-    let local = Accel::build(&meshes);
     let stage = Stage {
         plate: &around.plan.plate.linear,
         clipped: &around.plan.plate.clipped,
         camera: around.camera,
         panorama,
         scene: around.scene,
-        local: &local,
+        local: around.local,
         support_albedo: support_albedo(around.plan),
     };
     let recovered = clipped::recover(&stage, sun.direction, half_angle)

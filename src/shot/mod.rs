@@ -27,6 +27,7 @@ pub mod prepare;
 pub mod probe_keys;
 pub mod run;
 pub mod sheet;
+mod shown;
 mod support_light;
 mod unseen;
 pub mod watch;

@@ -23,28 +23,21 @@ const TOO_LARGE: f64 = 5.0;
 const TOO_SMALL: f64 = 1.0 / 250.0;
 
 /// One sentence for each object that is not where it can be meant to be.
-pub fn warnings(plan: &Plan, scene: &Scene, camera: &Camera) -> Vec<Warning> {
+///
+/// `local` is built over the meshes of `scene.local`, in their order.
+pub fn warnings(plan: &Plan, scene: &Scene, camera: &Camera, local: &Accel) -> Vec<Warning> {
     let objects: Vec<&Mesh> = scene.objects.iter().collect();
-    let local: Vec<&Mesh> = scene.local.iter().map(|local| &local.mesh).collect();
-    let support = scene.local.iter().filter(|local| local.role == LocalRole::Support);
-    let stage = Stage {
-        plan,
-        scene,
-        camera,
-        objects: Accel::build(&objects),
-        local: Accel::build(&local),
-        support: Accel::build(&support.map(|local| &local.mesh).collect::<Vec<_>>()),
-    };
+    let around = Around { plan, scene, camera, objects: Accel::build(&objects), local };
     let mut found = Vec::new();
     for (i, name) in scene.object_names.iter().enumerate() {
         let meshes: Vec<&Mesh> = scene.objects.iter().filter(|mesh| mesh.placed == i).collect();
         let Some(object) = Placed::new(i, name, &meshes, scene) else { continue };
         // An object in wrong units is also in the wrong place: one sentence, not three.
-        match stage.size(&object) {
+        match around.size(&object) {
             Some(warning) => found.push(warning),
             None => {
-                found.extend(stage.standing(&object));
-                found.extend(stage.sight(&object));
+                found.extend(around.standing(&object));
+                found.extend(around.sight(&object));
             }
         }
     }
@@ -52,13 +45,12 @@ pub fn warnings(plan: &Plan, scene: &Scene, camera: &Camera) -> Vec<Warning> {
 }
 
 /// Everything an object is held against.
-struct Stage<'a> {
+struct Around<'a> {
     plan: &'a Plan,
     scene: &'a Scene,
     camera: &'a Camera,
     objects: Accel,
-    local: Accel,
-    support: Accel,
+    local: &'a Accel,
 }
 
 /// One placed object, world metres.
@@ -124,7 +116,7 @@ impl<'a> Placed<'a> {
     }
 }
 
-impl Stage<'_> {
+impl Around<'_> {
     /// A size that only a wrong unit explains.
     fn size(&self, object: &Placed) -> Option<Warning> {
         let support = place::ground(self.plan)
@@ -194,8 +186,9 @@ impl Stage<'_> {
         }
         // From the object's top, so that a surface is met from above where the foot is below it.
         let lift = object.max.y - object.min.y + LEAST_GAP_M;
+        let is_support = |mesh: usize| self.scene.local[mesh].role == LocalRole::Support;
         let heights = object.feet().into_iter().filter_map(|p| {
-            let met = self.below(&self.support, p + DVec3::Y * lift, DVec3::Y, None)?;
+            let met = self.below(self.local, p + DVec3::Y * lift, DVec3::Y, is_support)?;
             Some(met - lift)
         });
         heights.reduce(f64::min).map(|lowest| (DVec3::Y, lowest))
@@ -206,17 +199,24 @@ impl Stage<'_> {
         object.feet().into_iter().any(|p| {
             // From just above, so that a corner that lies on the surface meets it.
             let from = p + up * tolerance;
-            let on =
-                |accel, not| self.below(accel, from, up, not).is_some_and(|d| d < 2.0 * tolerance);
-            on(&self.local, None) || on(&self.objects, Some(object.index))
+            let near = |distance: Option<f64>| distance.is_some_and(|d| d < 2.0 * tolerance);
+            let is_other = |mesh: usize| self.scene.objects[mesh].placed != object.index;
+            near(self.below(self.local, from, up, |_| true))
+                || near(self.below(&self.objects, from, up, is_other))
         })
     }
 
-    /// How far below a point the next surface lies, of all but one of the objects.
-    fn below(&self, accel: &Accel, from: DVec3, up: DVec3, not: Option<usize>) -> Option<f64> {
+    /// How far below a point the next surface lies, of the meshes that count.
+    fn below(
+        &self,
+        accel: &Accel,
+        from: DVec3,
+        up: DVec3,
+        counts: impl Fn(usize) -> bool,
+    ) -> Option<f64> {
         let ray = Ray::new(self.scene.from_world(from), -up.as_vec3());
-        let counts = |mesh: u32| not.is_none_or(|i| self.scene.objects[mesh as usize].placed != i);
-        accel.closest_where(&ray, |mesh, _, _, _| counts(mesh)).map(|hit| f64::from(hit.t))
+        let hit = accel.closest_where(&ray, |mesh, _, _, _| counts(mesh as usize));
+        hit.map(|hit| f64::from(hit.t))
     }
 
     /// An object that no pixel shows.

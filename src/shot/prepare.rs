@@ -15,6 +15,7 @@ use super::placing;
 use super::plan::Plan;
 use super::probe_keys::{Ball, ProbeSource};
 use super::run::RunError;
+use super::shown::Shown;
 use super::support_light::{self, View};
 use super::unseen;
 use super::watch::{Stopwatch, Watch};
@@ -101,7 +102,8 @@ pub fn prepare(
     let camera = plate_camera(plan, &found_lens, &found_pose);
     let scene = place::scene(plan)
         .map_err(|problem| one(format!("{}: {problem}", plan.shot.path.display())))?;
-    let around = Surroundings { plan, camera: &camera, scene: &scene };
+    let shown = Shown::new(&scene, &camera);
+    let around = Surroundings { plan, camera: &camera, scene: &scene, local: &shown.local };
     let (light, probe_report, lights_report) = light::light(unwrapped, &around).map_err(one)?;
     if context.is_cancelled() {
         return Err(RunError::Interrupted);
@@ -111,13 +113,13 @@ pub fn prepare(
     warnings.extend(found_pose.warnings.iter().cloned());
     warnings.extend(light.warnings.iter().cloned());
     warnings.extend(lost_triangles_warning(&scene));
-    warnings.extend(unseen::warning(&scene, &camera));
-    warnings.extend(placing::warnings(plan, &scene, &camera));
+    warnings.extend(unseen::warning(&scene, &shown));
+    warnings.extend(placing::warnings(plan, &scene, &camera, &shown.local));
     warnings.extend(support_light::warnings(&View {
         plate: &plan.plate.linear,
         clipped: &plan.plate.clipped,
-        camera: &camera,
         scene: &scene,
+        shown: &shown,
         lights: &light.lights,
     }));
     let reach = reach(plan, light.panorama.place);

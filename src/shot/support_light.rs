@@ -3,18 +3,16 @@
 //! ρ = π P / E (methods-render R9.2) with the light that arrives unhindered. Where the albedo comes from
 //! the plate, nothing that is real reflects more than 95 %; where it was given, it is what ρ must be.
 
-use glam::{DVec2, Vec3};
+use glam::Vec3;
 
-use crate::camera::Camera;
+use super::shown::{Seen, Shown};
 use crate::conventions::{Rgb, luminance};
 use crate::light::Lights;
 use crate::photo::Image;
 use crate::report::Warning;
-use crate::scene::{AlbedoSource, Mesh, Scene};
-use crate::trace::{Accel, Ray};
+use crate::scene::{AlbedoSource, Scene};
+use crate::trace::Ray;
 
-/// Pixels that are looked at, about.
-const PIXELS: usize = 6000;
 /// Irradiance is a pass over the panorama: this many normals get their own, others the nearest one's.
 const NORMALS: usize = 48;
 /// Normals this near each other share one (8°): irradiance changes by some percent.
@@ -26,8 +24,8 @@ const OFF: f32 = 2.0;
 pub struct View<'a> {
     pub plate: &'a Image<Rgb>,
     pub clipped: &'a Image<bool>,
-    pub camera: &'a Camera,
     pub scene: &'a Scene,
+    pub shown: &'a Shown,
     pub lights: &'a Lights,
 }
 
@@ -47,41 +45,28 @@ pub fn warnings(view: &View) -> Vec<Warning> {
 impl View<'_> {
     /// Albedo that plate and light ask for, on a grid of pixels that show lit local surfaces.
     fn albedos(&self) -> Vec<(AlbedoSource, Rgb)> {
-        let meshes: Vec<&Mesh> = self.scene.local.iter().map(|local| &local.mesh).collect();
-        let local = Accel::build(&meshes);
-        let (width, height) = (self.plate.width(), self.plate.height());
-        let step = ((width * height) as f64 / PIXELS as f64).sqrt().ceil().max(1.0) as usize;
         let mut light = Irradiances { lights: self.lights, known: Vec::new() };
-        let mut found = Vec::new();
-        for y in (step / 2..height).step_by(step) {
-            for x in (step / 2..width).step_by(step) {
-                let Some((origin, direction)) = self.camera.ray(DVec2::new(x as f64, y as f64))
-                else {
-                    continue;
-                };
-                let ray = Ray::new(self.scene.from_world(origin), direction.as_vec3());
-                let Some(hit) = local.closest(&ray) else { continue };
-                let surface = &self.scene.local[hit.mesh as usize];
-                let [a, b, c] = surface.mesh.corners(hit.triangle as usize);
-                let normal = (b - a).cross(c - a).normalize_or_zero();
-                let normal = if normal.dot(ray.direction) > 0.0 { -normal } else { normal };
-                let point = ray.at(hit.t) + normal * 1e-4 * hit.t;
-                let in_shadow = self
-                    .lights
-                    .suns
-                    .iter()
-                    .any(|sun| local.occluded(&Ray::new(point, sun.direction)));
-                let irradiance = light.on(normal);
-                // A clipped pixel is at least as bright: enough to be too white, too little to compare.
-                let unknown = self.clipped[(x, y)] && surface.albedo != AlbedoSource::Plate;
-                if in_shadow || unknown || irradiance.min_element() <= 0.0 {
-                    continue;
-                }
-                let albedo = self.plate[(x, y)] * std::f32::consts::PI / irradiance;
-                found.push((surface.albedo, albedo));
-            }
+        self.shown.grid.iter().filter_map(|seen| self.albedo(seen, &mut light)).collect()
+    }
+
+    /// `None` in a sun's shadow, without light, and where a clipped pixel is too little to compare.
+    fn albedo(&self, seen: &Seen, light: &mut Irradiances) -> Option<(AlbedoSource, Rgb)> {
+        let Seen { pixel, ray, hit } = seen;
+        let surface = &self.scene.local[hit.mesh as usize];
+        let [a, b, c] = surface.mesh.corners(hit.triangle as usize);
+        let normal = (b - a).cross(c - a).normalize_or_zero();
+        let normal = if normal.dot(ray.direction) > 0.0 { -normal } else { normal };
+        let point = ray.at(hit.t) + normal * 1e-4 * hit.t;
+        let suns = &self.lights.suns;
+        let in_shadow =
+            suns.iter().any(|sun| self.shown.local.occluded(&Ray::new(point, sun.direction)));
+        let irradiance = light.on(normal);
+        // A clipped pixel is at least as bright: enough to be too white, too little to compare.
+        let unknown = self.clipped[*pixel] && surface.albedo != AlbedoSource::Plate;
+        if in_shadow || unknown || irradiance.min_element() <= 0.0 {
+            return None;
         }
-        found
+        Some((surface.albedo, self.plate[*pixel] * std::f32::consts::PI / irradiance))
     }
 }
 
@@ -173,10 +158,10 @@ fn median(values: &mut [f32]) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::camera::{Lens, Pose};
+    use crate::camera::{Camera, Lens, Pose};
     use crate::light::LightOptions;
     use crate::probe::Panorama;
-    use crate::scene::{LocalMesh, LocalRole};
+    use crate::scene::{LocalMesh, LocalRole, Mesh};
     use glam::DVec3;
 
     /// A level ground of this albedo under a sky of radiance 1, in a plate of this value.
@@ -193,11 +178,12 @@ mod tests {
         };
         let pose = Pose::look_at(DVec3::new(0.0, 3.0, 3.0), DVec3::ZERO, DVec3::Y).unwrap();
         let sky = Panorama::from_radiance(Image::filled(64, 32, Rgb::ONE));
+        let camera = Camera { width: 48, height: 36, lens: Lens::pinhole(60.0, 48, 36), pose };
         warnings(&View {
             plate: &Image::filled(48, 36, Rgb::splat(plate)),
             clipped: &Image::filled(48, 36, false),
-            camera: &Camera { width: 48, height: 36, lens: Lens::pinhole(60.0, 48, 36), pose },
             scene: &scene,
+            shown: &Shown::new(&scene, &camera),
             lights: &Lights::new(&sky, &LightOptions::default()).unwrap(),
         })
     }

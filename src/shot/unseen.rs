@@ -1,19 +1,15 @@
 //! Real surfaces that the plate does not show: their albedo cannot be solved from it.
 
-use glam::DVec2;
-
-use crate::camera::Camera;
+use super::shown::Shown;
 use crate::report::Warning;
-use crate::scene::{AlbedoSource, Mesh, Scene};
-use crate::trace::{Accel, Ray};
-
-/// Rays that look for surfaces, about: a surface smaller than a six-thousandth of the plate may be missed,
-/// as the renderer's own grid of albedos may miss it.
-const RAYS: usize = 6000;
+use crate::scene::{AlbedoSource, Scene};
 
 /// Names the local surfaces whose albedo was to come from the plate and that no pixel shows.
-pub fn warning(scene: &Scene, camera: &Camera) -> Option<Warning> {
-    let seen = seen(scene, camera);
+pub fn warning(scene: &Scene, shown: &Shown) -> Option<Warning> {
+    let mut seen = vec![false; scene.local.len()];
+    for pixel in &shown.grid {
+        seen[pixel.hit.mesh as usize] = true;
+    }
     let mut names: Vec<String> = Vec::new();
     for (local, _) in scene.local.iter().zip(seen).filter(|(_, seen)| !seen) {
         let placed = scene.local_names.get(local.mesh.placed).map_or("", String::as_str);
@@ -35,32 +31,11 @@ pub fn warning(scene: &Scene, camera: &Camera) -> Option<Warning> {
     })
 }
 
-/// Which local meshes a grid of the camera's rays meets first.
-fn seen(scene: &Scene, camera: &Camera) -> Vec<bool> {
-    let meshes: Vec<&Mesh> = scene.local.iter().map(|local| &local.mesh).collect();
-    let local = Accel::build(&meshes);
-    let mut seen = vec![false; meshes.len()];
-    let step =
-        ((camera.width * camera.height) as f64 / RAYS as f64).sqrt().ceil().max(1.0) as usize;
-    for y in (step / 2..camera.height).step_by(step) {
-        for x in (step / 2..camera.width).step_by(step) {
-            let Some((origin, direction)) = camera.ray(DVec2::new(x as f64, y as f64)) else {
-                continue;
-            };
-            let ray = Ray::new((origin - scene.origin).as_vec3(), direction.as_vec3());
-            if let Some(hit) = local.closest(&ray) {
-                seen[hit.mesh as usize] = true;
-            }
-        }
-    }
-    seen
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::camera::{Lens, Pose};
-    use crate::scene::{LocalMesh, LocalRole};
+    use crate::camera::{Camera, Lens, Pose};
+    use crate::scene::{LocalMesh, LocalRole, Mesh};
     use glam::{DVec3, Vec3};
 
     /// A level square of 2 m.
@@ -86,9 +61,9 @@ mod tests {
             local_names: vec!["room".to_owned()],
             ..Scene::default()
         };
-        let said = warning(&scene, &camera).unwrap().message;
+        let said = warning(&scene, &Shown::new(&scene, &camera)).unwrap().message;
         assert!(said.contains("room shelf") && !said.contains("table"), "{said}");
         scene.local[1].albedo = AlbedoSource::Constant(Vec3::splat(0.5));
-        assert_eq!(warning(&scene, &camera), None, "its colour was given");
+        assert_eq!(warning(&scene, &Shown::new(&scene, &camera)), None, "its colour was given");
     }
 }
