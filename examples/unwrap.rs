@@ -13,8 +13,8 @@ use glam::DVec3;
 use platelight::bracket::{Frame, MergeOptions, exposure, merge};
 use platelight::camera::{Camera, file};
 use platelight::photo::{self, ReadOptions};
-use platelight::probe::photographed::{self, BallFacts};
-use platelight::probe::{self, clipped_regions, find, unwrap};
+use platelight::probe::photographed;
+use platelight::probe::{self, Ball, clipped_regions, find, unwrap};
 use platelight::shot::camera_keys::CameraSource;
 use platelight::shot::probe_keys::ProbeSource;
 use platelight::shot::{ShotFile, exposures, locate, pictures};
@@ -61,14 +61,12 @@ fn main() -> Result<(), Box<dyn Error>> {
     }
 
     // Find the rim, then follow every ray into the ball.
-    let facts = BallFacts {
-        radius: ball.radius,
-        reflectance: DVec3::from(ball.reflectance).as_vec3(),
-        at: Some(ball.at.into()),
-        support: Some(unwrap::Support { point: DVec3::ZERO, normal: DVec3::Y }),
-    };
-    let hints = find::Hints::default();
-    let (panorama, found) = photographed::ball(&merged.radiance, &camera, &facts, &hints, None)?;
+    let found = find::find(&merged.radiance.mean, &camera.lens, &find::Hints::default())?;
+    let reflectance = DVec3::from(ball.reflectance).as_vec3();
+    let ball = Ball::new(ball.at.into(), ball.radius, reflectance)?;
+    let table = unwrap::Support { point: DVec3::ZERO, normal: DVec3::Y };
+    let panorama =
+        photographed::ball(&merged.radiance, &camera, &found, &ball, Some(&table), None)?;
     println!("ball: radius {:.1} ± {:.1} px", found.radius_px, found.sigma_px);
     println!("clipped lights: {}", clipped_regions(&panorama).len());
 

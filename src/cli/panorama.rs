@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use glam::{DQuat, DVec2, DVec3, Vec3};
+use glam::{DQuat, DVec3, Vec3};
 use serde::Serialize;
 
 use super::error::{check_ending, check_outputs};
@@ -16,10 +16,10 @@ use crate::photo::{
     self, Encoding, EncodingSource, Format, Image, Photo, Primaries, ReadOptions, Transfer, colour,
     png,
 };
-use crate::probe::find::{BallImage, Hints};
+use crate::probe::find::{BallImage, Hints, find};
 use crate::probe::fisheye::{Fisheye, Projection};
 use crate::probe::overlay::overlay;
-use crate::probe::photographed::{self, BallFacts};
+use crate::probe::photographed;
 use crate::probe::unwrap::check_width;
 use crate::probe::{Ball, Panorama, clipped_regions, file};
 
@@ -294,26 +294,11 @@ fn photographed(
         None => None,
     };
     let hints = Hints { circle_px: wishes.hint, clean_plate: plate.as_ref() };
-    let facts = BallFacts {
-        radius: args.radius,
-        reflectance: wishes.reflectance.unwrap_or(Rgb::ONE),
-        at: None,
-        support: None,
-    };
-    let (panorama, found) = photographed::ball(&radiance, &camera, &facts, &hints, args.width)?;
-    if found.score.is_none() {
-        warnings.push(
-            "the rim could not be measured; the hint was taken as it is (1 % of its radius is \
-             assumed as its error)"
-                .into(),
-        );
-    }
-    if let Some([u, v, r]) = found.rival_px {
-        warnings.push(format!(
-            "another place looks nearly as much like a ball: {u:.0},{v:.0},{r:.0}; look at \
-             --overlay, and give --hint if the wrong one was taken"
-        ));
-    }
+    let found = find(&radiance.mean, &camera.lens, &hints)?;
+    let reflectance = wishes.reflectance.unwrap_or(Rgb::ONE);
+    let ball = Ball::new(found.centre_of(args.radius, &camera), args.radius, reflectance)?;
+    let panorama = photographed::ball(&radiance, &camera, &found, &ball, None, args.width)?;
+    warnings.extend(found.doubts().into_iter().map(|doubt| doubt.sentence("--hint")));
     let wants_overlay = args.overlay.is_some();
     let drawn = wants_overlay.then(|| overlay(&radiance.mean, &camera.lens, &found, 800));
     if wishes.reflectance.is_none() {
@@ -366,10 +351,7 @@ fn fisheye(wishes: &Wishes, kind: FisheyeKind, w: usize, h: usize) -> Result<Fis
         FisheyeKind::Stereographic => Projection::Stereographic,
         FisheyeKind::Orthographic => Projection::Orthographic,
     };
-    Ok(match wishes.circle {
-        Some([u, v, r]) => Fisheye::new(projection, fov, DVec2::new(u, v), r)?.seen_in(w, h)?,
-        None => Fisheye::inscribed(projection, fov, w, h)?,
-    })
+    Ok(Fisheye::new(projection, fov, wishes.circle, [w, h])?)
 }
 
 /// The camera of the ball's photographs: a file, a focal length, or EXIF.

@@ -76,16 +76,21 @@ pub struct Fisheye {
     edge_rad: f64,
 }
 
-/// Centre and radius of an image circle lie within this, px: several times the longest picture.
+/// Largest radius of an image circle, px: several times the longest picture.
 const LARGEST_PX: f64 = 1e6;
 
 impl Fisheye {
-    /// The fisheye whose image circle (`centre`, `radius_px`) spans `fov_deg` from edge to edge.
+    /// The fisheye whose image circle spans `fov_deg` from edge to edge of a picture of this size.
+    ///
+    /// `circle_px` is its centre u, v and radius; `None`: inscribed in the picture.
+    ///
+    /// # Errors
+    /// A field that the projection cannot show, or a circle that shows nowhere in the picture.
     pub fn new(
         projection: Projection,
         fov_deg: f64,
-        centre: DVec2,
-        radius_px: f64,
+        circle_px: Option<[f64; 3]>,
+        size: [usize; 2],
     ) -> Result<Self, ProbeError> {
         let edge_rad = fov_deg.to_radians() / 2.0;
         if !(edge_rad > 0.0 && edge_rad <= projection.limit() + 1e-9) {
@@ -95,42 +100,20 @@ impl Fisheye {
                 expected: "above 0° and within 180° (orthographic), 342° (stereographic) or 360°",
             });
         }
-        let near = centre.abs().max_element() <= LARGEST_PX;
-        if !((1.0..=LARGEST_PX).contains(&radius_px) && near) {
+        let [width, height] = size.map(|n| n as f64);
+        let inscribed = [(width - 1.0) / 2.0, (height - 1.0) / 2.0, width.min(height) / 2.0];
+        let [u, v, radius_px] = circle_px.unwrap_or(inscribed);
+        let shows = |at: f64, size: f64| (-radius_px..=size + radius_px).contains(&at);
+        let possible = (1.0..=LARGEST_PX).contains(&radius_px);
+        if !(possible && shows(u, width) && shows(v, height)) {
             return Err(ProbeError::Value {
                 what: "the fisheye's image circle (circle_px)",
-                found: format!("[{:?}, {:?}], {radius_px:?}", centre.x, centre.y),
+                found: format!("[{u:?}, {v:?}], {radius_px:?}"),
                 expected: "a centre u, v and a radius of at least one pixel, in or near the picture",
             });
         }
         let focal_px = radius_px / projection.radius(edge_rad);
-        Ok(Self { projection, focal_px, centre, edge_rad })
-    }
-
-    /// The same fisheye, if its circle shows in a `width` × `height` picture.
-    pub fn seen_in(self, width: usize, height: usize) -> Result<Self, ProbeError> {
-        let DVec2 { x, y } = self.centre;
-        let reach = self.focal_px * self.projection.radius(self.edge_rad);
-        let shows = |at: f64, size: usize| (-reach..=size as f64 + reach).contains(&at);
-        if shows(x, width) && shows(y, height) {
-            return Ok(self);
-        }
-        Err(ProbeError::Value {
-            what: "the fisheye's image circle (circle_px)",
-            found: format!("[{x:?}, {y:?}], {reach:?}"),
-            expected: "a circle that lies in the picture",
-        })
-    }
-
-    /// The fisheye whose image circle is inscribed in a `width` × `height` picture.
-    pub fn inscribed(
-        projection: Projection,
-        fov_deg: f64,
-        width: usize,
-        height: usize,
-    ) -> Result<Self, ProbeError> {
-        let centre = DVec2::new(width as f64 - 1.0, height as f64 - 1.0) / 2.0;
-        Self::new(projection, fov_deg, centre, width.min(height) as f64 / 2.0)
+        Ok(Self { projection, focal_px, centre: DVec2::new(u, v), edge_rad })
     }
 
     /// Radius of the image circle.
@@ -182,8 +165,7 @@ mod tests {
     #[test]
     fn circles_that_show_nowhere_in_the_picture_are_refused() {
         let at = |u: f64, v: f64, r: f64| {
-            Fisheye::new(Projection::Equidistant, 180.0, DVec2::new(u, v), r)
-                .and_then(|fisheye| fisheye.seen_in(64, 48))
+            Fisheye::new(Projection::Equidistant, 180.0, Some([u, v, r]), [64, 48])
         };
         assert!(at(32.0, 24.0, 30.0).is_ok() && at(-20.0, 24.0, 30.0).is_ok());
         for (u, v, r) in [(0.0, 0.0, 1e300), (1e9, 1e9, 5.0), (-40.0, 24.0, 30.0), (0.0, 1e5, 9.0)]
@@ -196,7 +178,7 @@ mod tests {
     #[test]
     fn pixels_invert_directions() {
         for (projection, fov) in ALL {
-            let fisheye = Fisheye::inscribed(projection, fov, 1000, 900).unwrap();
+            let fisheye = Fisheye::new(projection, fov, None, [1000, 900]).unwrap();
             for k in 0..500 {
                 let theta = 0.499 * fov.to_radians() * (k as f64 / 499.0).sqrt();
                 let direction = from_axis(theta, DVec2::from_angle(k as f64));
@@ -209,7 +191,7 @@ mod tests {
     #[test]
     fn solid_angles_add_up_to_the_cap() {
         for (projection, fov) in ALL {
-            let fisheye = Fisheye::inscribed(projection, fov, 600, 600).unwrap();
+            let fisheye = Fisheye::new(projection, fov, None, [600, 600]).unwrap();
             let sum: f64 = (0..600 * 600)
                 .filter_map(|k| fisheye.solid_angle(DVec2::new((k % 600) as f64, (k / 600) as f64)))
                 .sum();
@@ -222,7 +204,7 @@ mod tests {
 
     #[test]
     fn up_is_up_and_right_is_right() {
-        let fisheye = Fisheye::inscribed(Projection::Equidistant, 180.0, 401, 401).unwrap();
+        let fisheye = Fisheye::new(Projection::Equidistant, 180.0, None, [401, 401]).unwrap();
         let at = |d: DVec3| fisheye.pixel(d).unwrap();
         assert!((at(DVec3::NEG_Z) - 200.0).length() < 1e-12);
         assert!((at(DVec3::X) - DVec2::new(400.5, 200.0)).length() < 1e-9);
@@ -232,7 +214,7 @@ mod tests {
 
     #[test]
     fn impossible_fields_and_circles_are_refused() {
-        let new = |p, fov, r| Fisheye::new(p, fov, DVec2::ZERO, r);
+        let new = |p, fov, r| Fisheye::new(p, fov, Some([0.0, 0.0, r]), [200, 200]);
         assert!(new(Projection::Orthographic, 190.0, 100.0).is_err());
         assert!(new(Projection::Equisolid, f64::NAN, 100.0).is_err());
         assert!(new(Projection::Equidistant, -3.0, 100.0).is_err());

@@ -1,56 +1,36 @@
 //! Photographs of a probe → panorama, the same way for every caller: commands, shots, programs.
 
-use glam::{DMat3, DQuat, DVec3};
+use glam::{DMat3, DQuat};
 
 use super::ProbeError;
 use super::ball::Ball;
 use super::fill;
-use super::find::{BallImage, Hints, find};
+use super::find::BallImage;
 use super::fisheye::Fisheye;
 use super::panorama::Panorama;
 use super::resample::to_lat_long;
 use super::unwrap::{Support, check_width, natural_width, unwrap_ball};
 use crate::bracket::Radiance;
 use crate::camera::Camera;
-use crate::conventions::Rgb;
 use crate::photo::Image;
 
-/// What is known of a mirror ball beside its photographs.
-#[derive(Clone, Copy, Debug)]
-pub struct BallFacts {
-    /// Metres.
-    pub radius: f64,
-    /// Share of light it gives back, per channel.
-    pub reflectance: Rgb,
-    /// Its centre, world metres; `None`: where its rim and radius put it before the camera.
-    pub at: Option<DVec3>,
-    /// What it stands on or over, if that is known.
-    pub support: Option<Support>,
-}
-
-/// The panorama that photographs of a mirror ball show, and the ball as it was found.
+/// The panorama that photographs of a mirror ball show, once it is found in them.
 ///
-/// `width` is the natural one where `None` is given.
+/// `support` is what the ball stands on or over, if that is known; `width` is the natural one where
+/// `None` is given.
 ///
 /// # Errors
-/// No ball found, facts that no ball has, or a width that no panorama has.
+/// A width that no panorama has.
 pub fn ball(
     radiance: &Radiance,
     camera: &Camera,
-    facts: &BallFacts,
-    hints: &Hints,
+    found: &BallImage,
+    ball: &Ball,
+    support: Option<&Support>,
     width: Option<usize>,
-) -> Result<(Panorama, BallImage), ProbeError> {
-    let found = find(&radiance.mean, &camera.lens, hints)?;
-    let before_camera = || {
-        let distance = facts.radius / found.rim.half_angle_rad.sin();
-        camera.pose.position() + camera.pose.rotation() * found.rim.axis * distance
-    };
-    let centre = facts.at.unwrap_or_else(before_camera);
-    let ball = Ball::new(centre, facts.radius, facts.reflectance)?;
+) -> Result<Panorama, ProbeError> {
     let width = width.unwrap_or_else(|| natural_width(found.radius_px));
-    let panorama = unwrap_ball(radiance, camera, &found.rim, &ball, facts.support.as_ref(), width)?;
-    Ok((panorama, found))
+    unwrap_ball(radiance, camera, &found.rim, ball, support, width)
 }
 
 /// The panorama that photographs through a fisheye show; `world_from_lens` turns its axes (−Z in the
@@ -78,8 +58,11 @@ pub fn fisheye(
 
 #[cfg(test)]
 mod tests {
+    use glam::DVec3;
+
     use super::*;
     use crate::bracket::Validity;
+    use crate::conventions::Rgb;
     use crate::probe::fisheye::Projection;
 
     #[test]
@@ -90,7 +73,7 @@ mod tests {
             variance: Image::filled(200, 200, Rgb::ZERO),
             validity: Image::filled(200, 200, Validity::Measured),
         };
-        let lens = Fisheye::inscribed(Projection::Equidistant, 180.0, 200, 200).unwrap();
+        let lens = Fisheye::new(Projection::Equidistant, 180.0, None, [200, 200]).unwrap();
         for turn in [DQuat::IDENTITY, DQuat::from_rotation_x(1.0)] {
             let panorama = fisheye(&radiance, &lens, turn, Some(128)).unwrap();
             let off = panorama.radiance.pixels().iter().map(|l| (*l - constant).length());

@@ -2,7 +2,7 @@
 
 use std::f64::consts::PI;
 
-use glam::{DVec2, DVec3};
+use glam::DVec3;
 
 use super::exposures::Scale;
 use super::place;
@@ -20,7 +20,7 @@ use crate::photo::{Image, ReadOptions};
 use crate::probe::file::{self, Layout, rotation_xyz_deg};
 use crate::probe::find::{self, BallImage};
 use crate::probe::fisheye::{self, Projection};
-use crate::probe::photographed::{self, BallFacts};
+use crate::probe::photographed;
 use crate::probe::unwrap::Support;
 use crate::probe::{Ball, ClippedRegion, Panorama, Rim, clipped_regions};
 use crate::report::{
@@ -98,32 +98,14 @@ fn unwrap_the_ball(
     let reflectance = DVec3::from(keys.reflectance).as_vec3();
     // Judged before the ball is looked for, which takes longer.
     let ball = Ball::new(keys.at.into(), keys.radius, reflectance).map_err(|e| e.to_string())?;
-    let facts = BallFacts {
-        radius: keys.radius,
-        reflectance,
-        at: Some(ball.centre),
-        support: place::support_plane(plan, ball.centre)
-            .map(|(point, normal)| Support { point, normal }),
-    };
-    let (panorama, found) =
-        photographed::ball(&radiance, &camera, &facts, &hints, None).map_err(|e| e.to_string())?;
-    if found.score.is_none() {
-        warnings.push(Warning::new(
-            "probe.ball.hint_px",
-            "the ball's rim could not be measured; the hint is taken as it is: look at the overlay",
-            "directions off by 1 % of the ball's radius, if the hint is good to that",
-        ));
-    }
-    if let Some([u, v, r]) = found.rival_px {
-        warnings.push(Warning::new(
-            "probe.ball",
-            format!(
-                "another place looks nearly as much like a ball: centre {u:.0}, {v:.0}, radius \
-                     {r:.0} px; look at the overlay and give hint_px if the wrong one was taken"
-            ),
-            "all of the light, if the wrong one was taken",
-        ));
-    }
+    let support =
+        place::support_plane(plan, ball.centre).map(|(point, normal)| Support { point, normal });
+    let found = find::find(&radiance.mean, &camera.lens, &hints).map_err(|e| e.to_string())?;
+    let panorama = photographed::ball(&radiance, &camera, &found, &ball, support.as_ref(), None)
+        .map_err(|e| e.to_string())?;
+    warnings.extend(found.doubts().into_iter().map(|doubt| {
+        Warning::new("probe.ball", doubt.sentence("probe.ball.hint_px"), doubt.effect())
+    }));
     warnings.extend(found.disagreement_px(&camera, &ball).and_then(|off| misplaced(off, &found)));
     let report = ProbeReport {
         source: format!("mirror ball, {}", photographs(plan.probe_photos.len())),
@@ -169,15 +151,12 @@ fn unwrap_fisheye(
     keys: &Fisheye,
     (radiance, mut warnings): (Radiance, Vec<Warning>),
 ) -> Result<Unwrapped, String> {
-    let (w, h) = (radiance.mean.width() as f64, radiance.mean.height() as f64);
-    let [cx, cy, radius_px] =
-        keys.circle_px.unwrap_or([(w - 1.0) / 2.0, (h - 1.0) / 2.0, w.min(h) / 2.0]);
     let projection = match keys.mapping {
         FisheyeMapping::Equidistant => Projection::Equidistant,
         FisheyeMapping::Equisolid => Projection::Equisolid,
     };
-    let fisheye = fisheye::Fisheye::new(projection, keys.fov_deg, DVec2::new(cx, cy), radius_px)
-        .and_then(|fisheye| fisheye.seen_in(w as usize, h as usize))
+    let size = [radiance.mean.width(), radiance.mean.height()];
+    let fisheye = fisheye::Fisheye::new(projection, keys.fov_deg, keys.circle_px, size)
         .map_err(|error| error.to_string())?;
     let mut panorama =
         photographed::fisheye(&radiance, &fisheye, rotation_xyz_deg(keys.rotation), None)
@@ -494,6 +473,8 @@ fn sigma_irradiance(panorama: &Panorama) -> Option<f64> {
 
 #[cfg(test)]
 mod tests {
+    use glam::DVec2;
+
     use super::*;
 
     #[test]
