@@ -84,9 +84,7 @@ pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
     let options = ReadOptions { colour: colour::named(&args.colour)?, ..ReadOptions::default() };
     let photos = read_all(&args.photos, &options, global)?;
     for photo in &photos {
-        for remark in &photo.remarks {
-            global.warn(&format!("{}: {remark}", photo.path.display()));
-        }
+        photo.named_remarks().for_each(|remark| global.warn(&remark));
         if let Some(bad) = photo.nonfinite {
             let (path, (x, y)) = (photo.path.display(), bad.first);
             let n = bad.pixels;

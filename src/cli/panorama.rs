@@ -231,8 +231,7 @@ pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
                 return Err(CliError::wrong("a map of directions is one picture, not a bracket"));
             };
             let read = file::read(path, layout, wishes.rotation, args.width, &wishes.read)?;
-            let remarks = read.remarks.iter().map(|remark| format!("{}: {remark}", path.display()));
-            warnings.extend(remarks);
+            warnings.extend(read.remarks);
             warnings.extend(read.negative.map(|n| format!("{}: {n}", path.display())));
             Photographed { panorama: read.panorama, ball: None, overlay: None }
         }
@@ -275,10 +274,7 @@ fn photographed(
     let args = wishes.args;
     let photos: Vec<Photo> =
         args.photos.iter().map(|path| photo::read(path, &wishes.read)).collect::<Result<_, _>>()?;
-    for photo in &photos {
-        let path = photo.path.display();
-        warnings.extend(photo.remarks.iter().map(|remark| format!("{path}: {remark}")));
-    }
+    warnings.extend(photos.iter().flat_map(Photo::named_remarks));
     global.go_on()?;
     let radiance = radiance(wishes, &photos, warnings)?;
     global.go_on()?;

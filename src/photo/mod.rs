@@ -185,7 +185,7 @@ impl std::fmt::Display for Encoding {
             EncodingSource::Header => "the file's header",
             EncodingSource::Profile => "the file's colour profile",
             EncodingSource::Exif => "EXIF",
-            EncodingSource::Named => "the shot file",
+            EncodingSource::Named => "as asked for",
             EncodingSource::FormatRule => "not stated, the rule for this kind of file",
         };
         write!(f, ", {primaries} primaries ({source})")
@@ -257,6 +257,11 @@ impl Photo {
             samples: Samples::F32 { channels: 3, data },
             linear,
         }
+    }
+
+    /// The remarks, each with the file's name before it.
+    pub fn named_remarks(&self) -> impl Iterator<Item = String> + '_ {
+        self.remarks.iter().map(|remark| format!("{}: {remark}", self.path.display()))
     }
 
     /// Smallest relative change of light that the file can show: half a code at white, where codes

@@ -140,6 +140,7 @@ pub fn read(
 ) -> Result<ReadPanorama, ProbeError> {
     let photo = photo::read(path, options)?;
     let (negative, encoding) = (negative(&photo.linear), photo.encoding.clone());
+    let remarks = photo.named_remarks().collect();
     let source = bracket::file::from_picture(&photo)?;
     let (w, h) = (source.mean.width(), source.mean.height());
     if layout == Layout::LatLong {
@@ -151,7 +152,7 @@ pub fn read(
             uncover_unseen(&mut panorama);
         }
         let panorama = panorama.rotated(rotation);
-        return Ok(ReadPanorama { panorama, negative, remarks: photo.remarks, encoding });
+        return Ok(ReadPanorama { panorama, negative, remarks, encoding });
     }
     let width = width.unwrap_or_else(|| natural_width(layout, w));
     check_width(width)?;
@@ -176,7 +177,7 @@ pub fn read(
         uncover_unseen(&mut panorama);
     }
     let panorama = panorama.rotated(rotation);
-    Ok(ReadPanorama { panorama, negative, remarks: photo.remarks, encoding })
+    Ok(ReadPanorama { panorama, negative, remarks, encoding })
 }
 
 /// What no pixel of the file shows is not covered.

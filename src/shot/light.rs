@@ -207,10 +207,8 @@ fn take_panorama(keys: &PanoramaKeys) -> Result<Unwrapped, String> {
         let size = format!("{} texels, down to {}", negative.texels, negative.least);
         Warning::new("probe.panorama", negative.to_string(), size)
     });
-    let remarks = read.remarks.into_iter().map(|remark| {
-        let size = "light from there is missing";
-        Warning::new("probe.panorama", format!("{}: {remark}", keys.file.display()), size)
-    });
+    // Each says itself what it does to the picture.
+    let remarks = read.remarks.into_iter().map(|said| Warning::new("probe.panorama", said, ""));
     let warnings = negative.into_iter().chain(remarks).collect();
     let source = format!("panorama {}", keys.file.display());
     let colour = read.encoding.to_string();

@@ -315,10 +315,10 @@ impl Plan {
             ));
         }
         for photo in self.probe_photos.iter().chain([&self.plate]) {
-            warnings.extend(photo.remarks.iter().map(|remark| {
-                let name = photo.path.display().to_string();
-                Warning::new(name, remark.clone(), "what is not read counts as black")
-            }));
+            let name = photo.path.display().to_string();
+            // Each says itself what it does to the picture.
+            let remarks = photo.remarks.iter().map(|remark| Warning::new(&name, remark, ""));
+            warnings.extend(remarks);
         }
         if let Some(bad) = self.plate.nonfinite {
             warnings.push(Warning::new(
