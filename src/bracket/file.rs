@@ -90,9 +90,9 @@ pub fn from_picture(photo: &Photo) -> Result<Radiance, BracketError> {
         };
         (photo.linear.map(|_| Rgb::ZERO), photo.clipped.map(class))
     });
-    if let Some(held) = photo.held {
+    if let Some(window) = photo.data_window {
         for (k, class) in validity.pixels_mut().iter_mut().enumerate() {
-            if !held.contains((k % size.0, k / size.0)) {
+            if !window.contains((k % size.0, k / size.0)) {
                 *class = Validity::Filled;
             }
         }
@@ -201,7 +201,7 @@ mod tests {
         assert_eq!(radiance.mean[(0, 0)], Rgb::new(1.0, 0.0, 2.0));
         assert_eq!(radiance.validity[(2, 1)], Validity::LowerBound);
         assert_eq!(radiance.validity[(2, 2)], Validity::Measured);
-        photo.held = Some(crate::photo::Part { first: (1, 0), size: (3, 2) });
+        photo.data_window = Some(crate::photo::Window { first: (1, 0), size: (3, 2) });
         let part = from_picture(&photo).unwrap().validity;
         let unseen = part.pixels().iter().filter(|&&v| v == Validity::Filled).count();
         assert_eq!((unseen, part[(0, 0)], part[(3, 1)]), (6, Validity::Filled, Validity::Measured));

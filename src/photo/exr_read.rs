@@ -22,8 +22,8 @@ use rayon::prelude::*;
 
 use super::error::{MAX_SIDE, check_size, guarded};
 use super::{
-    Decoded, Encoding, EncodingSource, Facts, Part, PhotoError, Primaries, ReadOptions, Samples,
-    Transfer,
+    Decoded, Encoding, EncodingSource, Facts, PhotoError, Primaries, ReadOptions, Samples,
+    Transfer, Window,
 };
 use crate::conventions::FULL_FRAME_DIAGONAL_MM;
 
@@ -58,9 +58,9 @@ pub(super) fn decode(
             None => encoding(path, header)?,
         };
         let facts = facts(header);
-        let (held, window) = data_window(header);
+        let (data_window, said) = data_window(header);
         let remarks =
-            [window, other_parts(headers, &picture, options)].into_iter().flatten().collect();
+            [said, other_parts(headers, &picture, options)].into_iter().flatten().collect();
 
         let display = header.shared_attributes.display_window;
         let (width, height) = (display.size.width(), display.size.height());
@@ -82,7 +82,7 @@ pub(super) fn decode(
             })?;
             Samples::F32 { channels, data }
         };
-        Ok(Decoded { width, height, samples, facts, encoding, held, remarks })
+        Ok(Decoded { width, height, samples, facts, encoding, data_window, remarks })
     })
 }
 
@@ -135,7 +135,7 @@ fn choose(path: &Path, headers: &[Header], layer: Option<&str>) -> Result<Pictur
 }
 
 /// The part of the display window that the data window covers, if that is not all, and a word on it.
-fn data_window(header: &Header) -> (Option<Part>, Option<String>) {
+fn data_window(header: &Header) -> (Option<Window>, Option<String>) {
     let display = header.shared_attributes.display_window;
     let place = header.own_attributes.layer_position;
     // First and end of the data within the display window, along one side.
@@ -147,18 +147,18 @@ fn data_window(header: &Header) -> (Option<Part>, Option<String>) {
     let (data, size) = (header.layer_size, display.size);
     let (left, right) = along(place.0, data.0, display.position.0, size.0);
     let (top, bottom) = along(place.1, data.1, display.position.1, size.1);
-    let part = Part { first: (left, top), size: (right - left, bottom - top) };
-    if part.size == (size.0, size.1) {
+    let window = Window { first: (left, top), size: (right - left, bottom - top) };
+    if window.size == (size.0, size.1) {
         return (None, None);
     }
-    let outside = size.area() - part.size.0 * part.size.1;
+    let outside = size.area() - window.size.0 * window.size.1;
     let share = 100.0 * outside as f64 / size.area() as f64;
     let said = format!(
         "its data window holds {} × {} of {} × {} px; {share:.1} % of the picture are not in the file \
          and count as black and not seen",
-        part.size.0, part.size.1, size.0, size.1
+        window.size.0, window.size.1, size.0, size.1
     );
-    (Some(part), Some(said))
+    (Some(window), Some(said))
 }
 
 /// A word on parts that hold a main picture too, where nobody said which one is meant.

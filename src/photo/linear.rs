@@ -15,7 +15,7 @@ const CLIP_16BIT: u16 = 64_225;
 
 /// The finished [`Photo`] of a decoded file.
 pub(super) fn photo(path: &Path, format: Format, decoded: Decoded) -> Result<Photo, PhotoError> {
-    let Decoded { width, height, samples, facts, encoding, held, remarks } = decoded;
+    let Decoded { width, height, samples, facts, encoding, data_window, remarks } = decoded;
     let rec709_from_file = match encoding.primaries.rec709_from_rgb() {
         Some(matrix) => (matrix != DMat3::IDENTITY).then_some(matrix),
         None => {
@@ -44,7 +44,7 @@ pub(super) fn photo(path: &Path, format: Format, decoded: Decoded) -> Result<Pho
         },
         clipped: Image::from_pixels(width, height, clipped).ok_or_else(wrong_count)?,
         nonfinite,
-        held,
+        data_window,
         remarks,
         facts,
         encoding,

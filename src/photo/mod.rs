@@ -5,6 +5,7 @@
 //! This room never guesses a colour space silently and never trusts a size it reads.
 
 pub mod atomic;
+pub mod bytes;
 pub mod colour;
 mod error;
 mod exif;
@@ -29,9 +30,9 @@ pub use self::image::Image;
 pub use self::radiance_hdr::Mantissa;
 pub use self::tone_curve::ToneCurve;
 
-use std::io::Read;
 use std::path::{Path, PathBuf};
 
+use self::bytes::BytesError;
 use crate::conventions::Rgb;
 
 /// A photograph or rendered picture, upright, in scene-linear light.
@@ -50,9 +51,9 @@ pub struct Photo {
     pub clipped: Image<bool>,
     /// Samples that were NaN or infinite; `linear` has 0 there.
     pub nonfinite: Option<NonFinite>,
-    /// The part of the picture that the file holds, where it does not hold all of it (an EXR data
-    /// window smaller than the display window); `linear` is 0 outside.
-    pub held: Option<Part>,
+    /// The data window of an EXR within its display window, where it does not cover all of it;
+    /// `linear` is 0 outside.
+    pub data_window: Option<Window>,
     /// What a person should know of how the file was read, each a sentence without its name.
     pub remarks: Vec<String>,
     /// What the camera wrote beside the picture.
@@ -86,14 +87,14 @@ pub struct NonFinite {
 
 /// A rectangle of a picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Part {
+pub struct Window {
     /// Column and row of its first pixel.
     pub first: (usize, usize),
     /// Columns and rows; may be 0.
     pub size: (usize, usize),
 }
 
-impl Part {
+impl Window {
     pub fn contains(&self, (x, y): (usize, usize)) -> bool {
         let inside = |at: usize, first: usize, n: usize| (first..first + n).contains(&at);
         inside(x, self.first.0, self.size.0) && inside(y, self.first.1, self.size.1)
@@ -246,7 +247,7 @@ impl Photo {
             alpha: None,
             clipped: linear.map(|_| false),
             nonfinite: None,
-            held: None,
+            data_window: None,
             remarks: Vec::new(),
             facts: Facts::default(),
             encoding: Encoding {
@@ -288,7 +289,7 @@ impl Photo {
             samples: self.samples.clone(),
             facts: self.facts.clone(),
             encoding: Encoding { transfer, primaries: self.encoding.primaries, source },
-            held: self.held,
+            data_window: self.data_window,
             remarks: self.remarks.clone(),
         };
         linear::photo(&self.path, self.format, decoded)
@@ -324,7 +325,7 @@ struct Decoded {
     samples: Samples,
     facts: Facts,
     encoding: Encoding,
-    held: Option<Part>,
+    data_window: Option<Window>,
     remarks: Vec<String>,
 }
 
@@ -334,22 +335,12 @@ struct Decoded {
 /// Anything unreadable, damaged, too large or of unknown colour, with file, cause and remedy.
 /// No content of a file panics or allocates much more than [`ReadOptions::max_bytes`].
 pub fn read(path: &Path, options: &ReadOptions) -> Result<Photo, PhotoError> {
-    let fail = |source| PhotoError::Read { path: path.into(), source };
-    // Asked before it is opened: a pipe without a writer would never open, a device never end.
-    let metadata = std::fs::metadata(path).map_err(fail)?;
-    if !metadata.is_file() {
-        return Err(fail(std::io::Error::other("it is no regular file")));
-    }
-    let file = std::fs::File::open(path).map_err(fail)?;
-    let length = metadata.len();
-    let limit = options.max_bytes;
-    if length > limit {
-        let what = "the file".into();
-        return Err(PhotoError::TooLarge { path: path.into(), what, bytes: length, limit });
-    }
-    let mut bytes = Vec::with_capacity(length as usize);
-    // `take`: what a pipe or growing file delivers beyond its stated length is not trusted either.
-    file.take(limit).read_to_end(&mut bytes).map_err(fail)?;
+    let bytes = bytes::read(path, options.max_bytes).map_err(|error| match error {
+        BytesError::Read(source) => PhotoError::Read { path: path.into(), source },
+        BytesError::TooLarge { bytes, limit } => {
+            PhotoError::TooLarge { path: path.into(), what: "the file".into(), bytes, limit }
+        }
+    })?;
     read_bytes(path, &bytes, options)
 }
 

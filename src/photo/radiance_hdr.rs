@@ -96,7 +96,7 @@ pub(super) fn decode(
     };
     let samples = Samples::F32 { channels: 3, data };
     let facts = Facts { orientation: 1, ..Facts::default() };
-    Ok(Decoded { width, height, samples, facts, encoding, held: None, remarks: Vec::new() })
+    Ok(Decoded { width, height, samples, facts, encoding, data_window: None, remarks: Vec::new() })
 }
 
 fn header<'a>(path: &Path, bytes: &'a [u8]) -> Result<(HdrHeader, &'a [u8]), PhotoError> {

@@ -145,7 +145,7 @@ fn finish(
     };
     let (width, height, samples) =
         upright(width as usize, height as usize, samples, facts.orientation);
-    Ok(Decoded { width, height, samples, facts, encoding, held: None, remarks: Vec::new() })
+    Ok(Decoded { width, height, samples, facts, encoding, data_window: None, remarks: Vec::new() })
 }
 
 /// The encoding of a file: its profile's, EXIF's, or the rule for its kind of sample.

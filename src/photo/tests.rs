@@ -147,14 +147,18 @@ fn the_data_window_is_placed_in_the_display_window() {
     assert_eq!([red(0, 1), red(1, 1), red(2, 1)], [101.0, 102.0, 103.0]);
     assert_eq!([red(0, 2), red(2, 2)], [105.0, 107.0]);
     // What is not in the file is not seen, and told.
-    assert_eq!(photo.held, Some(Part { first: (0, 1), size: (3, 2) }));
+    assert_eq!(photo.data_window, Some(Window { first: (0, 1), size: (3, 2) }));
     assert!(photo.remarks[0].contains("60.0 %"), "{:?}", photo.remarks);
     for (place, display) in [((0, 0), (4, 3)), ((-1, -1), (3, 2))] {
         let whole = open("a.exr", &foreign_exr(Compression::ZIP16, place, display)).unwrap();
-        assert!(whole.held.is_none() && whole.remarks.is_empty(), "{place:?} {:?}", whole.remarks);
+        assert!(
+            whole.data_window.is_none() && whole.remarks.is_empty(),
+            "{place:?} {:?}",
+            whole.remarks
+        );
     }
     let beside = open("a.exr", &foreign_exr(Compression::ZIP16, (9, 9), (4, 3))).unwrap();
-    assert_eq!(beside.held.map(|held| held.size), Some((0, 0)));
+    assert_eq!(beside.data_window.map(|window| window.size), Some((0, 0)));
 }
 
 #[test]

@@ -148,7 +148,7 @@ pub fn read(
             return Err(ProbeError::NotLatLong { path: path.into(), width: w, height: h });
         }
         let mut panorama = lat_long(path, photo.format, source)?;
-        if photo.held.is_some() {
+        if photo.data_window.is_some() {
             uncover_unseen(&mut panorama);
         }
         let panorama = panorama.rotated(rotation);
@@ -173,7 +173,7 @@ pub fn read(
         // Returned above.
         Layout::LatLong => return Err(shape("twice as wide as high")),
     };
-    if photo.held.is_some() {
+    if photo.data_window.is_some() {
         uncover_unseen(&mut panorama);
     }
     let panorama = panorama.rotated(rotation);

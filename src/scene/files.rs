@@ -1,35 +1,25 @@
 //! Reading files that a stranger made: sizes, names and encodings that are not to be trusted.
 
-use std::fs::File;
-use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use super::SceneError;
+use crate::photo::bytes::{self, BytesError};
 
 /// Largest file read, bytes.
 const MAX_FILE: u64 = 2 << 30;
 
-/// All bytes of an ordinary file of at most [`MAX_FILE`]. Devices and pipes are refused: reading
-/// them may never end.
+/// All bytes of an ordinary file of at most [`MAX_FILE`].
 pub(super) fn read_file(path: &Path) -> Result<Vec<u8>, SceneError> {
-    let broken = |source| SceneError::Read { path: path.into(), source };
-    let is_file = std::fs::metadata(path).map_err(broken)?.is_file();
-    if !is_file {
-        return Err(broken(std::io::Error::other("not an ordinary file")));
-    }
-    let file = File::open(path).map_err(broken)?;
-    let mut bytes = Vec::new();
-    file.take(MAX_FILE + 1).read_to_end(&mut bytes).map_err(broken)?;
-    if bytes.len() as u64 > MAX_FILE {
-        return Err(SceneError::TooLarge {
+    bytes::read(path, MAX_FILE).map_err(|error| match error {
+        BytesError::Read(source) => SceneError::Read { path: path.into(), source },
+        BytesError::TooLarge { bytes, limit } => SceneError::TooLarge {
             path: path.into(),
             place: "the file".into(),
-            found: "more".into(),
-            limit: format!("{} GiB", MAX_FILE >> 30),
+            found: format!("{} MiB", bytes >> 20),
+            limit: format!("{} GiB", limit >> 30),
             remedy: "split it into several files",
-        });
-    }
-    Ok(bytes)
+        },
+    })
 }
 
 /// The file that `name`, written inside the file `from`, means: beside it or in a folder below.
