@@ -288,6 +288,9 @@ mod tests {
             let l = f64::from(read.radiance[(x, y)].x);
             assert!((l - (2.0 - d.z)).abs() < 0.02, "{d}: {l}");
         }
+        // Its place is the world's already and is not turned.
+        let header = String::from_utf8_lossy(&std::fs::read(&path).unwrap()).into_owned();
+        assert!(header.contains("\"place_m\":[0.1,0.2,0.3]"), "{header:.2000}");
     }
 
     #[test]
