@@ -26,6 +26,10 @@ pub fn luminance(l: Rgb) -> f32 {
     l.dot(LUMINANCE_WEIGHTS)
 }
 
+/// Nothing of a shot lies farther out than this along an axis, not in any survey's coordinates either,
+/// metres. Products of three such lengths, which ray tests and areas are made of, are numbers in f32.
+pub const FARTHEST_M: f64 = 1e9;
+
 /// Half the angle under which the sun is seen from the Earth at its mean distance, radians.
 pub const SUN_HALF_ANGLE_RAD: f64 = 0.266_5 * PI / 180.0;
 

@@ -12,12 +12,11 @@ use glam::{DAffine3, DMat3, DVec3};
 use serde::{Deserialize, Serialize};
 
 use super::{Camera, Distortion, Lens, Pose, interchange};
+use crate::conventions::FARTHEST_M;
 use crate::photo::{atomic, text};
 
 /// Largest side of a picture that a camera file may state, px.
 const LONGEST_SIDE: usize = 1 << 20;
-/// Farthest place of a camera from the world's origin, m: as far as meshes may lie.
-const FARTHEST_M: f64 = 1e12;
 /// Largest camera file that is read, bytes.
 const LARGEST_FILE: u64 = 4 << 20;
 

@@ -8,6 +8,7 @@ use std::path::PathBuf;
 use glam::{DAffine3, DVec3, Vec2, Vec3, Vec4};
 
 use super::{Material, SceneError, Texture};
+use crate::conventions::FARTHEST_M;
 
 /// What a glTF or OBJ file holds, in the file's own coordinates (metres, f64).
 #[derive(Clone, Debug, Default)]
@@ -61,15 +62,11 @@ impl Model {
     }
 }
 
-/// Farthest place of a corner, metres: products of three such lengths, which ray tests and areas
-/// are made of, are still numbers in f32 (up to 3.4e38).
-const FARTHEST_M: f64 = 1e12;
-
 impl Model {
     /// Whether all of it has room in the world once placed.
     ///
     /// # Errors
-    /// [`SceneError::TooFar`] names the first mesh with a corner beyond 1e12 m, or at no place at all.
+    /// [`SceneError::TooFar`] names the first mesh with a corner beyond [`FARTHEST_M`], or at no place at all.
     pub fn check_place(&self, world_from_model: &DAffine3) -> Result<(), SceneError> {
         for mesh in &self.meshes {
             let distances =

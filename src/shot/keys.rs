@@ -11,6 +11,7 @@ use toml::Spanned;
 use toml::de::{DeArray, DeTable, DeValue};
 
 use super::pictures;
+use crate::conventions::FARTHEST_M;
 
 /// Everything found wrong with one file, each with file, line, key and remedy.
 #[derive(Debug)]
@@ -332,9 +333,6 @@ fn numbers<const N: usize>(array: &DeArray) -> Option<[f64; N]> {
 fn fixed<T, const N: usize>(values: impl Iterator<Item = Option<T>>) -> Option<[T; N]> {
     values.collect::<Option<Vec<T>>>()?.try_into().ok()
 }
-
-/// Farther out nothing of a shot lies, not in any survey's coordinates either, metres.
-const FARTHEST_M: f64 = 1e9;
 
 /// Longest value that a sentence shows, characters.
 const SHOWN: usize = 60;
