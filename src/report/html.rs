@@ -183,11 +183,16 @@ fn distortion(camera: &CameraReport) -> String {
         .filter(|(_, k)| **k != 0.0)
         .map(|(name, k)| format!("{name} = {}", significant(*k)))
         .collect();
-    let moves = camera.distortion_px.map_or(String::new(), |moved| match terms.as_slice() {
-        [] => ", no distortion".to_owned(),
-        terms => format!(", moves the corners by up to {moved:.1} px: {}", terms.join(", ")),
-    });
-    format!("{}{moves}", camera.distortion)
+    let does = match (camera.distortion_px, terms.as_slice()) {
+        (None, []) => String::new(),
+        (Some(_), []) => ", no distortion".to_owned(),
+        // A corner beyond the lens model's field is moved nobody knows how far.
+        (None, terms) => format!(": {}", terms.join(", ")),
+        (Some(moved), terms) => {
+            format!(", moves the corners by up to {moved:.1} px: {}", terms.join(", "))
+        }
+    };
+    format!("{}{does}", camera.distortion)
 }
 
 fn pose(report: &Report) -> Markup {
@@ -351,6 +356,23 @@ mod tests {
             let page = super::page(&report, "before.png", "after.png").into_string();
             assert!(page.contains(&format!("<h1>{heading}</h1>")), "{page:.900}");
         }
+    }
+
+    #[test]
+    fn terms_of_a_lens_are_shown_though_no_corner_can_be_followed_through_it() {
+        let mut camera = CameraReport {
+            distortion: "Kannala-Brandt".to_owned(),
+            distortion_names: vec!["k1", "k2"],
+            distortion_coefficients: vec![0.02, 0.0],
+            distortion_px: Some(3.0),
+            ..CameraReport::default()
+        };
+        let said = distortion(&camera);
+        assert_eq!(said, "Kannala-Brandt, moves the corners by up to 3.0 px: k1 = 0.0200");
+        camera.distortion_px = None;
+        assert_eq!(distortion(&camera), "Kannala-Brandt: k1 = 0.0200");
+        camera.distortion_coefficients = vec![0.0, 0.0];
+        assert_eq!(distortion(&camera), "Kannala-Brandt");
     }
 
     #[test]
