@@ -46,19 +46,19 @@ fn what_does_not_is_told_once_with_the_key_that_mends_it() {
     for (keys, expected) in [
         (
             "at = [0, 0.03, 0]\n",
-            "object[0].at: cube hovers 3.0 cm above the support; to stand it there, set at = [0, 0, 0]",
+            "object[0].at: cube hovers 3 cm above the support; to stand it there, set at = [0, 0, 0]",
         ),
         (
             "at = [0.1, -0.05, 0]\n",
-            "object[0].at: cube sinks 5.0 cm into the support; to stand it there, set at = [0.1, 0, 0]",
+            "object[0].at: cube sinks 5 cm into the support; to stand it there, set at = [0.1, 0, 0]",
         ),
         (
             "scale = 100\n",
-            "object[0].scale: cube measures 20.00 m × 20.00 m × 20.00 m (X, Y, Z), far larger",
+            "object[0].scale: cube measures 20 m × 20 m × 20 m (X, Y, Z), far larger",
         ),
         (
             "scale = 0.01\n",
-            "object[0].scale: cube measures 2.0 mm × 2.0 mm × 2.0 mm (X, Y, Z), far smaller",
+            "object[0].scale: cube measures 2 mm × 2 mm × 2 mm (X, Y, Z), far smaller",
         ),
         (
             "at = [0, 0, 4]\n",
@@ -73,7 +73,7 @@ fn what_does_not_is_told_once_with_the_key_that_mends_it() {
     // Below the support and thus hidden by it.
     let buried = said("at = [0, -0.5, 0]\n");
     assert!(
-        buried[0].contains("sinks 50.0 cm") && buried[1].contains("hidden by the support"),
+        buried[0].contains("sinks 50 cm") && buried[1].contains("hidden by the support"),
         "{buried:?}"
     );
 }
@@ -87,7 +87,7 @@ fn a_thing_on_another_does_not_hover_and_a_mesh_is_a_support_too() {
     assert_eq!(said_of("scale = 0.5\nat = [0, 0.2, 0]\n", slope), Vec::<String>::new());
     let sunk = said_of("scale = 0.5\nat = [0, 0.15, 0]\n", slope);
     assert!(
-        sunk[0].contains("sinks 5.0 cm into the support; to stand it there, set at = [0, 0.2, 0]"),
+        sunk[0].contains("sinks 5 cm into the support; to stand it there, set at = [0, 0.2, 0]"),
         "{sunk:?}"
     );
 }

@@ -40,9 +40,15 @@ impl Camera {
 
     /// Pixel at which a world point is seen; `None` where the lens does not see it.
     ///
-    /// The pixel may lie outside the picture: compare with `width` and `height`.
+    /// The pixel may lie outside the picture: ask [`Camera::shows`].
     pub fn project_world(&self, point: DVec3) -> Option<DVec2> {
         self.lens.project(self.pose.inverse().transform_point3(point))
+    }
+
+    /// Whether a pixel lies in the picture, the halves of its outermost pixels included.
+    pub fn shows(&self, pixel: DVec2) -> bool {
+        let inside = |at: f64, size: usize| at > -0.5 && at < size as f64 - 0.5;
+        inside(pixel.x, self.width) && inside(pixel.y, self.height)
     }
 
     /// The camera of a cut-out of `scale` × this frame whose pixel (0, 0) lies at (`x`, `y`) there.
@@ -55,6 +61,18 @@ impl Camera {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_picture_reaches_half_a_pixel_beyond_the_outermost_centres() {
+        let lens = Lens::pinhole(4.0, 4, 3);
+        let camera = Camera { width: 4, height: 3, lens, pose: Pose::identity() };
+        for pixel in [(-0.4, -0.4), (0.0, 0.0), (3.4, 2.4)] {
+            assert!(camera.shows(pixel.into()), "{pixel:?}");
+        }
+        for pixel in [(-0.6, 0.0), (3.6, 0.0), (0.0, 2.6), (f64::NAN, 0.0)] {
+            assert!(!camera.shows(pixel.into()), "{pixel:?}");
+        }
+    }
 
     #[test]
     fn ray_passes_through_the_point_it_shows() {

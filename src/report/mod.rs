@@ -11,7 +11,7 @@ mod text;
 
 pub use canvas::Canvas;
 pub use html::write_html;
-pub use text::summary;
+pub use text::{length, summary};
 
 use std::io::Write;
 use std::path::{Path, PathBuf};

@@ -5,6 +5,7 @@ use std::f64::consts::TAU;
 use glam::{DVec2, DVec3};
 
 use super::canvas::{Canvas, Colour};
+use super::text::length;
 use crate::camera::Camera;
 
 const RED: Colour = [255, 64, 64];
@@ -68,7 +69,7 @@ pub fn object_box(canvas: &mut Canvas, camera: &Camera, corners: &[DVec3; 8], na
 
 /// Writes beside a world point, if the picture shows it.
 fn label(canvas: &mut Canvas, camera: &Camera, at: DVec3, text: &str, colour: Colour) {
-    let Some(at) = camera.project_world(at).filter(|p| in_frame(camera, *p)) else { return };
+    let Some(at) = camera.project_world(at).filter(|p| camera.shows(*p)) else { return };
     let gap = 0.5 * canvas.letter_height();
     canvas.text(at + DVec2::new(gap, -gap), text, colour);
 }
@@ -82,20 +83,11 @@ fn label_beyond(
     colour: Colour,
 ) {
     let [from, to] = line.map(|point| camera.project_world(point));
-    let (Some(from), Some(to)) = (from, to.filter(|p| in_frame(camera, *p))) else { return };
+    let (Some(from), Some(to)) = (from, to.filter(|p| camera.shows(*p))) else { return };
     let high = canvas.letter_height();
     let middle = to + (to - from).normalize_or(DVec2::X) * high;
     // The first letter's middle; the others follow to the right.
     canvas.text(middle + DVec2::new(-0.35, 0.5) * high, text, colour);
-}
-
-/// "20 cm", "5 mm", "1 m".
-fn length(metres: f64) -> String {
-    match metres {
-        m if m < 0.0099 => format!("{:.1} mm", 1000.0 * m),
-        m if m < 0.99 => format!("{:.0} cm", 100.0 * m),
-        m => format!("{m:.0} m"),
-    }
 }
 
 /// Draws where the shadow of an upright stick at `foot` falls in the light from `toward_sun`.
@@ -129,7 +121,7 @@ pub fn horizon(canvas: &mut Canvas, camera: &Camera) {
         .map(|point| point.filter(|p| near_frame(camera, *p)))
         .collect();
     canvas.path(&points, YELLOW);
-    let leftmost = points.iter().flatten().filter(|p| in_frame(camera, **p));
+    let leftmost = points.iter().flatten().filter(|p| camera.shows(**p));
     if let Some(at) = leftmost.min_by(|a, b| a.x.total_cmp(&b.x)) {
         // Below the line: it is often at the upper edge.
         canvas.text(*at + DVec2::Y * 2.0 * canvas.letter_height(), "horizon", YELLOW);
@@ -171,10 +163,6 @@ fn seen(camera: &Camera, from: DVec3, to: DVec3) -> Vec<Option<DVec2>> {
         .map(|i| camera.project_world(from.lerp(to, i as f64 / PIECES as f64)))
         .map(|point| point.filter(|p| near_frame(camera, *p)))
         .collect()
-}
-
-fn in_frame(camera: &Camera, p: DVec2) -> bool {
-    p.x >= 0.0 && p.y >= 0.0 && p.x < camera.width as f64 && p.y < camera.height as f64
 }
 
 /// Far outside the frame a lens model says nothing, and lines would cross the picture at random.

@@ -73,6 +73,19 @@ pub(super) fn per_cent(share: f64) -> String {
     format!("{percent:.digits$} %")
 }
 
+/// A length as one says it: 4.2 mm, 3 cm, 1.25 m, 200 m.
+pub fn length(metres: f64) -> String {
+    let (value, digits, unit) = match metres {
+        m if m < 0.00995 => (1000.0 * m, 1, "mm"),
+        m if m < 0.9995 => (100.0 * m, 1, "cm"),
+        m if m < 99.995 => (m, 2, "m"),
+        m => (m, 0, "m"),
+    };
+    let text = format!("{value:.digits$}");
+    let short = if digits > 0 { text.trim_end_matches('0').trim_end_matches('.') } else { &text };
+    format!("{short} {unit}")
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -81,6 +94,25 @@ mod tests {
     fn shares_have_two_figures() {
         for (share, text) in [(0.0, "0 %"), (0.5, "50 %"), (0.0123, "1.2 %"), (0.00123, "0.12 %")] {
             assert_eq!(per_cent(share), text);
+        }
+    }
+
+    #[test]
+    fn lengths_are_said_in_the_unit_they_are_measured_in() {
+        for (metres, said) in [
+            (0.0042, "4.2 mm"),
+            (0.005, "5 mm"),
+            (0.00999, "1 cm"),
+            (0.03, "3 cm"),
+            (0.2, "20 cm"),
+            (0.9999, "1 m"),
+            (1.25, "1.25 m"),
+            (20.0, "20 m"),
+            (99.999, "100 m"),
+            (200.0, "200 m"),
+            (0.0, "0 mm"),
+        ] {
+            assert_eq!(length(metres), said);
         }
     }
 

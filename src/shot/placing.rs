@@ -7,7 +7,7 @@ use super::file::SupportShape;
 use super::place;
 use super::plan::Plan;
 use crate::camera::Camera;
-use crate::report::Warning;
+use crate::report::{Warning, length};
 use crate::scene::{LocalRole, Mesh, Scene};
 use crate::trace::{Accel, Ray};
 
@@ -299,9 +299,7 @@ impl Around<'_> {
     }
 
     fn is_in_frame(&self, point: DVec3) -> bool {
-        let (w, h) = (self.camera.width as f64, self.camera.height as f64);
-        let inside = |p: DVec2| p.x > -0.5 && p.y > -0.5 && p.x < w - 0.5 && p.y < h - 0.5;
-        self.camera.project_world(point).is_some_and(inside)
+        self.camera.project_world(point).is_some_and(|pixel| self.camera.shows(pixel))
     }
 
     /// The name of what stands in front of the object where it would be in the frame.
@@ -343,32 +341,4 @@ enum Met {
     Object(usize),
     /// Number of the local mesh.
     Local(usize),
-}
-
-/// A length as one says it: 4.2 mm, 3.0 cm, 1.25 m.
-fn length(metres: f64) -> String {
-    match metres {
-        m if m < 0.01 => format!("{:.1} mm", 1000.0 * m),
-        m if m < 1.0 => format!("{:.1} cm", 100.0 * m),
-        m if m < 100.0 => format!("{m:.2} m"),
-        m => format!("{m:.0} m"),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn lengths_are_said_in_the_unit_they_are_measured_in() {
-        for (metres, said) in [
-            (0.0042, "4.2 mm"),
-            (0.03, "3.0 cm"),
-            (1.25, "1.25 m"),
-            (200.0, "200 m"),
-            (0.0, "0.0 mm"),
-        ] {
-            assert_eq!(length(metres), said);
-        }
-    }
 }
