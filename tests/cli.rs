@@ -308,7 +308,7 @@ fn a_plate_without_a_place_is_one_problem_not_a_second_one_of_the_ball() {
     let output = platelight(&["check", text(folder.path())]);
     assert_eq!(output.status.code(), Some(2));
     let said = stderr(&output);
-    assert!(said.contains("pose:") && !said.contains("no camera"), "{said}");
+    assert!(said.contains("pose.board:") && !said.contains("no camera"), "{said}");
 }
 
 #[test]

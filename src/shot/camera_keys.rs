@@ -287,13 +287,17 @@ impl TagPose {
             keys.file("photo", folder),
             "name the photograph that shows the tag",
         );
-        let family = keys.choice("family", &FAMILIES.map(|name| (name, name)));
+        let family = keys.choice("family", &FAMILIES.map(|family| (family.0, family)));
+        let (family, tags) = family.unwrap_or(FAMILIES[0]);
         let id = keys.need("id", keys.count("id"), "give the tag's number");
+        if let Some(id) = id.filter(|&id| id >= tags) {
+            keys.problem("id", &format!("{family} has tags 0 to {}, not {id}", tags - 1));
+        }
         let size = keys.need("size_mm", keys.positive("size_mm"), "measure the black border");
         let placing = Placing::read(keys, "the centre of the black square");
         Some(Self {
             photo: photo?,
-            family: family.unwrap_or("36h11").to_owned(),
+            family: family.to_owned(),
             id: id?,
             size_mm: size?,
             placing: placing?,
@@ -301,8 +305,9 @@ impl TagPose {
     }
 }
 
-/// AprilTag families that can be detected.
-const FAMILIES: [&str; 4] = ["36h11", "36h10", "25h9", "16h5"];
+/// AprilTag families that can be detected, and how many tags each has; the first is the default.
+pub(super) const FAMILIES: [(&str, u32); 4] =
+    [("36h11", 587), ("36h10", 2320), ("25h9", 35), ("16h5", 30)];
 
 impl BoardPose {
     const KEYS: &[&str] = &[

@@ -41,6 +41,11 @@ pub enum DetectError {
     NoOpenCv,
     #[error("{0}")]
     NotFound(String),
+    /// `seen`: the numbers of this family's tags in the photograph.
+    #[error(
+        "tag {id} is not seen, but {seen}; check family and id, and that the white margin is whole"
+    )]
+    OtherTags { id: u32, seen: String },
 }
 
 /// A board seen in a photograph.

@@ -39,8 +39,9 @@ pub struct Seen {
 pub enum LocateError {
     #[error(transparent)]
     Photo(#[from] PhotoError),
+    /// `key` is the print's place below `[pose]`.
     #[error("{}: {cause}", photo.display())]
-    Detect { photo: PathBuf, cause: DetectError },
+    Detect { key: String, photo: PathBuf, cause: DetectError },
     #[error("{target}: {cause}")]
     Pose { target: String, cause: PoseError },
     #[error(
@@ -66,6 +67,16 @@ pub enum LocateError {
     File(#[from] file::CameraFileError),
     #[error("{}: the file has a lens but no pose", path.display())]
     NoPose { path: PathBuf },
+}
+
+impl LocateError {
+    /// The key below `[pose]` whose value is to be looked at; empty where it is any of them.
+    pub fn key(&self) -> &str {
+        match self {
+            Self::Detect { key, .. } => key,
+            _ => "",
+        }
+    }
 }
 
 /// Whether four corners go round once, as those of any rectangle in front of a camera do.
@@ -168,9 +179,10 @@ pub fn from_tags(
     let mut targets = vec![];
     let mut warnings = vec![];
     let mut sigma_px = 0.0f64;
-    for tag in tags {
+    for (i, tag) in tags.iter().enumerate() {
         let photo = read(&tag.photo, size)?;
-        let (sightings, sigma, said) = sight_tag(&photo, tag, lens)?;
+        let key = if tags.len() == 1 { "tag".to_owned() } else { format!("tags[{i}]") };
+        let (sightings, sigma, said) = sight_tag(&photo, tag, &key, lens)?;
         targets.push(sightings);
         sigma_px = sigma_px.max(sigma);
         warnings.extend(said);
@@ -193,13 +205,19 @@ pub fn from_tags(
 fn sight_tag(
     photo: &Photo,
     tag: &TagPose,
+    key: &str,
     lens: &Lens,
 ) -> Result<(Vec<Sighting>, f64, Option<Warning>), LocateError> {
     const CLIPPED: f64 = 0.3;
     const ALL_CLIPPED: f64 = 0.9;
     let name = photo.path.display();
-    let seen = detect::tag(photo, &tag.family, tag.id, Some(lens))
-        .map_err(|cause| LocateError::Detect { photo: photo.path.clone(), cause })?;
+    let seen = detect::tag(photo, &tag.family, tag.id, Some(lens)).map_err(|cause| {
+        let key = match cause {
+            DetectError::OtherTags { .. } => format!("{key}.id"),
+            DetectError::NoOpenCv | DetectError::NotFound(_) => key.to_owned(),
+        };
+        LocateError::Detect { key, photo: photo.path.clone(), cause }
+    })?;
     let side = tag.size_mm * 1e-3;
     let place = &tag.placing;
     let (at, facing, up) = (place.at.into(), place.facing.into(), place.up.into());
@@ -212,7 +230,7 @@ fn sight_tag(
         // clipped the edge fit knows how bright it is; where nothing is left it guesses.
         let sigma_px = if seen.clipped_white > ALL_CLIPPED { 0.5 } else { 0.1 };
         let said = Warning::new(
-            "pose.tag",
+            format!("pose.{key}"),
             format!("{name}: the white round the tag is clipped; use a shorter exposure"),
             format!("corners known to {sigma_px} px"),
         );
@@ -220,7 +238,7 @@ fn sight_tag(
     }
     let said = (!seen.by_edges).then(|| {
         Warning::new(
-            "pose.tag",
+            format!("pose.{key}"),
             format!(
                 "{name}: tag {} is too small or too blurred to fit its edges; go nearer",
                 tag.id
@@ -239,8 +257,10 @@ pub fn from_board(
     lens: &Lens,
 ) -> Result<FoundPose, LocateError> {
     let name = photo.path.display().to_string();
-    let seen = detect::board(photo, board)
-        .map_err(|cause| LocateError::Detect { photo: photo.path.clone(), cause })?;
+    let seen = detect::board(photo, board).map_err(|cause| {
+        let key = "board".to_owned();
+        LocateError::Detect { key, photo: photo.path.clone(), cause }
+    })?;
     let (right, up) = print::target_axes(place.facing.into(), place.up.into())
         .ok_or_else(|| LocateError::Placing { target: name.clone() })?;
     let at = DVec3::from(place.at);
@@ -421,6 +441,26 @@ mod tests {
         let source = rectangle(&above, [0.2, 0.2]);
         let error = find_pose(&source, &above.lens, [960, 640], None).unwrap_err();
         assert!(error.to_string().contains("two poses fit equally"), "{error}");
+    }
+
+    #[cfg(feature = "opencv")]
+    #[test]
+    fn another_tag_than_the_one_seen_is_told_with_the_key_of_its_number() {
+        let demo = concat!(env!("CARGO_MANIFEST_DIR"), "/plates/demo/tag.jpg");
+        let tag = |id| TagPose {
+            photo: PathBuf::from(demo),
+            family: "36h11".to_owned(),
+            id,
+            size_mm: 160.0,
+            placing: PLACING,
+        };
+        let lens = Lens::pinhole(1180.0, 1080, 720);
+        let locate = |tags| find_pose(&PoseSource::Tags(tags), &lens, [1080, 720], None);
+        assert!(locate(vec![tag(5)]).is_ok());
+        let error = locate(vec![tag(6)]).unwrap_err();
+        assert!(error.to_string().contains("tag 6 is not seen, but 5"), "{error}");
+        assert_eq!(error.key(), "tag.id");
+        assert_eq!(locate(vec![tag(5), tag(6)]).unwrap_err().key(), "tags[1].id");
     }
 
     #[test]

@@ -8,7 +8,7 @@ use super::bracket;
 use super::calibrate::{FoundLens, find_lens};
 use super::camera_keys::{Board, CameraKeys, CameraSource};
 use super::light::{self, Light, Surroundings};
-use super::locate::{FoundPose, Seen, find_pose};
+use super::locate::{FoundPose, LocateError, Seen, find_pose};
 use super::near_field;
 use super::place;
 use super::placing;
@@ -74,7 +74,7 @@ pub fn prepare(
     begin("find the camera's place")?;
     let size = [found_lens.width, found_lens.height];
     let found_pose = find_pose(&shot.pose, &found_lens.lens, size, own_board(&shot.camera))
-        .map_err(|error| in_file(format!("pose: {error}")));
+        .map_err(|error| in_file(format!("{}: {error}", pose_key(&error))));
     let ball_camera = match &shot.probe.source {
         ProbeSource::Ball(ball) => ball_camera(plan, ball, &found_lens, found_pose.as_ref().ok())
             .map_err(|error| in_file(format!("probe.ball: {error}"))),
@@ -153,6 +153,14 @@ pub fn prepare(
         },
         near_field_error,
     })
+}
+
+/// `pose`, or the key below it that an error speaks of.
+fn pose_key(error: &LocateError) -> String {
+    match error.key() {
+        "" => "pose".to_owned(),
+        key => format!("pose.{key}"),
+    }
 }
 
 /// A problem that nothing else can be looked for behind.
@@ -237,7 +245,7 @@ fn ball_camera(
     let pose = match (&ball.pose, plate_pose) {
         (Some(source), _) => {
             let found = find_pose(source, &lens.lens, lens_size, board);
-            found.map_err(|error| format!("pose: {error}"))?.pose
+            found.map_err(|error| format!("{}: {error}", pose_key(&error)))?.pose
         }
         (None, Some(found)) => found.pose.clone(),
         // The plate's own pose failed and is told already.

@@ -154,13 +154,11 @@ pub fn tag(
     let mut mine = tags.iter().filter(|t| t.id == id);
     let Some(tag) = mine.next() else {
         let ids: Vec<String> = tags.iter().map(|t| t.id.to_string()).collect();
-        let seen = if ids.is_empty() {
-            format!("no tag of {family} is seen")
-        } else {
-            format!("tag {id} is not seen, but {}", ids.join(", "))
-        };
+        if !ids.is_empty() {
+            return Err(DetectError::OtherTags { id, seen: ids.join(", ") });
+        }
         return Err(not_found(format!(
-            "{seen}; check family and id, and that the white margin is whole"
+            "no tag of {family} is seen; check family and id, and that the white margin is whole"
         )));
     };
     if mine.next().is_some() {
@@ -288,4 +286,18 @@ pub fn from_calib(lens: &platelight_calib::Lens, covariance: &[f64]) -> Lens {
     let (n, full) = (out.n_parameters(), lens.model.n_parameters());
     out.covariance = Some((0..n * n).map(|k| covariance[(k / n) * full + k % n]).collect());
     out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::shot::camera_keys::FAMILIES;
+
+    #[test]
+    fn families_have_as_many_tags_as_the_shot_file_is_told() {
+        for (name, tags) in FAMILIES {
+            let family = Family::by_name(name).expect("a family");
+            assert_eq!(family.count().expect("OpenCV's dictionary"), tags as usize, "{name}");
+        }
+    }
 }
