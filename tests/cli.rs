@@ -316,6 +316,22 @@ fn errors_are_json_too_when_asked() {
     let output = platelight(&["check", "nowhere", "--json"]);
     let json: serde_json::Value = serde_json::from_slice(&output.stdout).expect("JSON on stdout");
     assert!(json["errors"][0].as_str().expect("a sentence").contains("nowhere"));
+
+    // Several problems of a text are several sentences.
+    let folder = tempfile::tempdir().expect("a folder");
+    let shot = write_shot(folder.path(), Plate::Png8, "[composite]\nmode = \"on\"\n");
+    let text_of = std::fs::read_to_string(&shot).expect("shot").replace("size =", "siez =");
+    std::fs::write(&shot, text_of).expect("shot");
+    for command in ["check", "run", "batch"] {
+        let output = platelight(&[command, text(folder.path()), "--json"]);
+        let json: serde_json::Value = serde_json::from_slice(&output.stdout).expect("JSON");
+        let errors = json["errors"].as_array().expect("a list");
+        let errors: Vec<&str> = errors.iter().filter_map(|error| error.as_str()).collect();
+        assert_eq!(errors.len(), 2, "{command}: {errors:?}");
+        assert!(errors[0].contains("did you mean `support.plane.size`?"), "{errors:?}");
+        let known = "\"on\" is not known; write \"auto\" or \"additive\" or \"ratio\"";
+        assert!(errors[1].contains(known), "{errors:?}");
+    }
 }
 
 #[test]

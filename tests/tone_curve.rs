@@ -8,8 +8,8 @@ use platelight::conventions::{Rgb, luminance};
 use platelight::photo::{self, Photo, ReadOptions, Samples, png};
 use platelight::render::Context;
 use platelight::shot::ShotFile;
-use platelight::shot::file::StopKeys;
 use platelight::shot::run::{RunOptions, run_frames};
+use platelight::shot::stop::StopKeys;
 use platelight::shot::watch::Silent;
 
 fn demo() -> PathBuf {

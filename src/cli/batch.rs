@@ -34,12 +34,12 @@ pub struct Args {
 }
 
 pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
+    let options = RunOptions { skip_existing: args.skip_existing, stop: args.stop.keys()? };
     let shots = find_shots(&args.folders, args.out.as_deref())?;
     let summary_folder = args.out.as_ref().or(args.folders.first());
     if let Some(folder) = summary_folder {
         check_folder(folder)?;
     }
-    let options = RunOptions { skip_existing: args.skip_existing, stop: args.stop.keys()? };
     let terminal = Terminal::new(global);
     let tell = |result: &crate::shot::batch::ShotResult| {
         terminal.say(&format!("{:?}: {}", result.status, result.shot.display()));

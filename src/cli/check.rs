@@ -14,14 +14,15 @@ Examples:
   platelight check shots/robot --json
 
 Reads every file, calibrates, finds tags, boards and the ball, and predicts memory and time.
-Writes nothing. Exit code 0 if the shot can run, 2 if not; all problems are told together.")]
+Writes nothing. Exit code 0 if the shot can run, 2 if not. Problems come in up to three rounds, all
+of a round together: the text and missing files, what is in the files, what the photographs show.")]
 pub struct Args {
     /// The shot file, or the folder that holds shot.toml
     shot: PathBuf,
 }
 
 pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
-    let shot = ShotFile::read(&args.shot)?;
+    let shot = ShotFile::read(&args.shot).map_err(|e| CliError::several(e.problems()))?;
     let terminal = Terminal::new(global);
     let findings = check::check(&shot, &global.context(), &terminal);
     terminal.finish();

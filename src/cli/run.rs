@@ -7,8 +7,8 @@ use super::{CliError, Global, Outcome};
 use crate::report::summary;
 use crate::shot::ShotFile;
 use crate::shot::batch::out_folder;
-use crate::shot::file::{ERRORS, NO_ERROR, StopKeys};
 use crate::shot::run::{RunError, RunOptions, run_frames};
+use crate::shot::stop::StopKeys;
 
 /// Put the objects of a shot into its plate
 #[derive(Debug, clap::Args)]
@@ -16,7 +16,7 @@ use crate::shot::run::{RunError, RunOptions, run_frames};
 Examples:
   platelight run shots/robot
   platelight run shots/robot/shot.toml --out renders/robot --error 0.005
-  platelight run shots/robot --time 60
+  platelight run shots/robot --time 5m
 
 Writes composite.exr (all layers), composite.png, camera.json, panorama.exr, report.json, report.html
 and overlays. A first composite is there seconds after the start and is replaced when it is finished.")]
@@ -38,43 +38,36 @@ pub struct Args {
 #[group(multiple = false)]
 pub struct Stop {
     /// Stop at this error relative to the plate, for example 0.01
-    #[arg(long, value_name = "SHARE")]
-    error: Option<f64>,
-    /// Be done after this many seconds in all: reading, preparing and writing are part of them
-    #[arg(long, value_name = "SECONDS")]
-    time: Option<f64>,
+    #[arg(long, value_name = "SHARE", allow_negative_numbers = true)]
+    error: Option<String>,
+    /// Be done after this long in all (60, 60s, 5m, 2h): reading, preparing and writing are part of it
+    #[arg(long, value_name = "TIME", allow_negative_numbers = true)]
+    time: Option<String>,
     /// Stop after this many samples in every influenced pixel
-    #[arg(long, value_name = "N")]
-    samples: Option<u32>,
+    #[arg(long, value_name = "N", allow_negative_numbers = true)]
+    samples: Option<String>,
 }
 
 impl Stop {
     /// What was asked for, if anything.
     pub fn keys(&self) -> Result<Option<StopKeys>, CliError> {
-        let positive = |name: &str, value: f64| {
-            if value.is_finite() && value > 0.0 {
-                Ok(value)
-            } else {
-                Err(CliError::wrong(format!("--{name}: {value} is not above 0")))
-            }
+        let number = |text: &str| {
+            text.trim().parse::<f64>().map_err(|_| format!("\"{text}\" is no number; write one"))
         };
-        Ok(match (self.error, self.time, self.samples) {
-            (Some(error), ..) if !ERRORS.contains(&error) => {
-                return Err(CliError::wrong(format!("--error: {error} {NO_ERROR}")));
-            }
-            (Some(error), ..) => Some(StopKeys::Error(error)),
-            (_, Some(time), _) => Some(StopKeys::Time(positive("time", time)?)),
-            (.., Some(0)) => return Err(CliError::wrong("--samples: 0 samples show nothing")),
-            (.., Some(samples)) => Some(StopKeys::Samples(samples)),
-            _ => None,
-        })
+        let (option, keys) = match (&self.error, &self.time, &self.samples) {
+            (Some(text), ..) => ("--error", number(text).and_then(StopKeys::error)),
+            (_, Some(text), _) => ("--time", StopKeys::time(text)),
+            (.., Some(text)) => ("--samples", number(text).and_then(StopKeys::samples)),
+            _ => return Ok(None),
+        };
+        keys.map(Some).map_err(|cause| CliError::wrong(format!("{option}: {cause}")))
     }
 }
 
 pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
-    let shot = ShotFile::read(&args.shot)?;
-    let out = args.out.clone().unwrap_or_else(|| out_folder(&shot.path, None));
     let options = RunOptions { skip_existing: args.skip_existing, stop: args.stop.keys()? };
+    let shot = ShotFile::read(&args.shot).map_err(|e| CliError::several(e.problems()))?;
+    let out = args.out.clone().unwrap_or_else(|| out_folder(&shot.path, None));
     let terminal = Terminal::new(global);
     let frames = run_frames(&shot, &out, &options, &global.context(), &terminal);
     terminal.finish();

@@ -192,7 +192,7 @@ fn run_one(
     // shared with the next.
     let outcome = catch_unwind(AssertUnwindSafe(|| match ShotFile::read(shot) {
         Ok(file) => run_frames(&file, &out, options, context, watch),
-        Err(error) => vec![Err(RunError::Problems(vec![error.to_string()]))],
+        Err(error) => vec![Err(RunError::Problems(error.problems()))],
     }));
     let ended = outcome.unwrap_or_else(|_| {
         vec![Err(RunError::Problems(vec![format!(

@@ -4,11 +4,12 @@ use std::path::PathBuf;
 
 use serde::Serialize;
 
-use super::file::{ShotFile, StopKeys};
+use super::file::ShotFile;
 use super::frames::frame_path;
 use super::plan::Plan;
 use super::prepare::prepare;
 use super::run::RunError;
+use super::stop::StopKeys;
 use super::watch::{Stopwatch, Watch};
 use crate::render::Context;
 use crate::report::{CameraReport, LightsReport, PoseReport, ProbeReport, Warning};

@@ -14,6 +14,7 @@ use super::frames::{Frames, frame_path, has_pattern};
 use super::keys::{Keys, Problems};
 use super::prepare::METHODS;
 use super::probe_keys::{Lamp, ProbeKeys, Surroundings};
+use super::stop::StopKeys;
 use crate::photo::{NamedColour, text};
 
 /// The whole shot file.
@@ -125,15 +126,6 @@ pub enum DenoiseKeys {
     Auto,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-#[serde(rename_all = "lowercase")]
-pub enum StopKeys {
-    Error(f64),
-    /// Seconds.
-    Time(f64),
-    Samples(u32),
-}
-
 /// `[composite]`
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct CompositeKeys {
@@ -170,6 +162,16 @@ pub enum ShotFileError {
     Unreadable { path: PathBuf, cause: std::io::Error },
     #[error("{}", .0.join("\n"))]
     Problems(Vec<String>),
+}
+
+impl ShotFileError {
+    /// One sentence for each problem.
+    pub fn problems(self) -> Vec<String> {
+        match self {
+            Self::Problems(problems) => problems,
+            unreadable => vec![unreadable.to_string()],
+        }
+    }
 }
 
 impl ShotFile {
@@ -261,7 +263,7 @@ fn read_root(root: &Keys, path: &Path, folder: &Path) -> Option<ShotFile> {
     let render = root.table("render", RENDER).map_or_else(
         || {
             Some(Render {
-                stop: StopKeys::Error(DEFAULT_ERROR),
+                stop: StopKeys::default(),
                 method: "auto".to_owned(),
                 denoise: DenoiseKeys::default(),
             })
@@ -385,62 +387,11 @@ fn read_object(keys: &Keys, folder: &Path) -> Option<Object> {
 
 const RENDER: &[&str] = &["error", "time", "samples", "method", "denoise"];
 
-/// Errors that can be asked for, as shares of the plate.
-pub const ERRORS: std::ops::Range<f64> = 1e-5..1.0;
-/// What is said of others.
-pub const NO_ERROR: &str =
-    "is no share of the plate between 1e-5 and 1; 0.01 is one per cent, which no eye sees";
-
-/// One per cent of the plate: what an eye does not see in a single picture.
-const DEFAULT_ERROR: f64 = 0.01;
-
 fn read_render(keys: &Keys) -> Option<Render> {
     let method = keys.choice("method", &METHODS.map(|(name, _)| (name, name)));
     let method = method.unwrap_or("auto").to_owned();
-    let given = ["error", "time", "samples"].iter().any(|key| keys.has(key));
-    let stop = if given {
-        match keys.exactly_one(&["error", "time", "samples"])? {
-            "error" => StopKeys::Error(keys.positive("error").filter(|&error| {
-                let can_be = ERRORS.contains(&error);
-                if !can_be {
-                    keys.problem("error", &format!("{error} {NO_ERROR}"));
-                }
-                can_be
-            })?),
-            "time" => StopKeys::Time(read_seconds(keys)?),
-            _ => StopKeys::Samples(keys.count("samples").filter(|&n| {
-                if n == 0 {
-                    keys.problem("samples", "0 samples show nothing; give 1 or more");
-                }
-                n > 0
-            })?),
-        }
-    } else {
-        StopKeys::Error(DEFAULT_ERROR)
-    };
     let denoise = keys.choice("denoise", &[("off", DenoiseKeys::Off), ("auto", DenoiseKeys::Auto)]);
-    Some(Render { stop, method, denoise: denoise.unwrap_or_default() })
-}
-
-/// `time = 60`, `"60s"`, `"5m"` or `"2h"`, in seconds.
-fn read_seconds(keys: &Keys) -> Option<f64> {
-    if !keys.is_text("time") {
-        return keys.positive("time");
-    }
-    let text = keys.text("time")?.trim();
-    let (number, unit) = text.split_at(text.len() - text.chars().last().map_or(0, char::len_utf8));
-    let seconds_each = match unit {
-        "s" => 1.0,
-        "m" => 60.0,
-        "h" => 3600.0,
-        _ => 0.0,
-    };
-    let seconds = number.trim().parse::<f64>().ok().map(|n| n * seconds_each);
-    let seconds = seconds.filter(|s| s.is_finite() && *s > 0.0);
-    if seconds.is_none() {
-        keys.problem("time", &format!("\"{text}\" is no time; write \"60s\", \"5m\" or \"2h\""));
-    }
-    seconds
+    Some(Render { stop: StopKeys::read(keys)?, method, denoise: denoise.unwrap_or_default() })
 }
 
 fn read_composite(keys: Option<&Keys>) -> CompositeKeys {
@@ -519,12 +470,10 @@ plane = { size = [3.0, 3.0] }
             .replace("size = [3.0, 3.0]", "size = [3.0]")
             .replace("[plate]", "[plaet]")
             + "[render]\ntime = \"soon\"\n[[object]]\nscale = -1\n";
-        let problems = parse(&text).expect_err("five things are wrong");
+        let problems = parse(&text).expect_err("six things are wrong");
         let expected = [
             "shot.toml:2: plaet: unknown key; did you mean `plate`?",
-            "plate: is missing",
             "shot.toml:10: probe.ball.radios: unknown key; did you mean `probe.ball.radius`?",
-            "shot.toml:10: probe.ball.radius: is missing",
             "shot.toml:12: support.plane.size: expected 2 numbers above 0",
             "object[0].file: is missing",
             "object[0].scale: expected a number above 0",
@@ -536,6 +485,15 @@ plane = { size = [3.0, 3.0] }
                 "{sentence:?} is not in {problems:#?}"
             );
         }
+        assert_eq!(problems.len(), expected.len(), "a misspelt key is not missing: {problems:#?}");
+    }
+
+    #[test]
+    fn a_tag_that_its_family_does_not_have_is_refused_in_the_text() {
+        let problems = parse(&WHOLE.replace("id = 7", "id = 587")).expect_err("586 is the last");
+        assert!(problems[0].contains("pose.tag.id: 36h11 has tags 0 to 586"), "{problems:?}");
+        assert!(parse(&WHOLE.replace("id = 7", "id = 30, family = \"16h5\"")).is_err());
+        assert!(parse(&WHOLE.replace("id = 7", "id = 586")).is_ok());
     }
 
     #[test]
@@ -545,15 +503,26 @@ plane = { size = [3.0, 3.0] }
     }
 
     #[test]
-    fn times_are_read_with_their_units() {
-        for (text, seconds) in
-            [("60", 60.0), ("\"60s\"", 60.0), ("\"1.5m\"", 90.0), ("\"2h\"", 7200.0)]
-        {
-            let shot = parse(&format!("{WHOLE}[render]\ntime = {text}\n")).expect("a time");
-            assert_eq!(shot.render.stop, StopKeys::Time(seconds));
+    fn one_of_error_time_and_samples_says_when_to_stop() {
+        let stop = |text: &str| parse(&format!("{WHOLE}[render]\n{text}\n"));
+        for (text, expected) in [
+            ("time = 60", StopKeys::Time(60.0)),
+            ("time = \"1.5m\"", StopKeys::Time(90.0)),
+            ("error = 0.1", StopKeys::Error(0.1)),
+            ("samples = 4", StopKeys::Samples(4)),
+        ] {
+            assert_eq!(stop(text).expect(text).render.stop, expected);
         }
-        assert!(parse(&format!("{WHOLE}[render]\ntime = \"\"\n")).is_err());
-        assert!(parse(&format!("{WHOLE}[render]\nerror = 0.1\nsamples = 4\n")).is_err());
+        for (text, told) in [
+            ("time = \"\"", "render.time: \"\" is no time; write"),
+            ("time = 0", "render.time: 0 is no time; write"),
+            ("error = -1", "render.error: -1 is no share of the plate; write"),
+            ("samples = 0", "render.samples: 0 is no number of samples; write"),
+            ("error = 0.1\nsamples = 4", "error and samples exclude each other"),
+        ] {
+            let problems = stop(text).expect_err(text);
+            assert!(problems[0].contains(told), "{problems:?}");
+        }
     }
 
     #[test]

@@ -86,7 +86,7 @@ pub fn finish(
             "the result is the plate itself",
         ));
     }
-    if let super::file::StopKeys::Error(target) = plan.shot.render.stop
+    if let super::stop::StopKeys::Error(target) = plan.shot.render.stop
         && render.complete
         && render.error > 1.1 * target
     {

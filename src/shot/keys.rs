@@ -69,6 +69,8 @@ pub struct Keys<'a> {
     start: usize,
     table: &'a DeTable<'a>,
     known: &'static [&'static str],
+    /// Keys that unknown ones are misspelt from.
+    misspelt: Vec<&'static str>,
 }
 
 impl<'a> Keys<'a> {
@@ -88,28 +90,32 @@ impl<'a> Keys<'a> {
         table: &'a DeTable<'a>,
         known: &'static [&'static str],
     ) -> Self {
-        let keys = Self { problems, name, start, table, known };
+        let mut keys = Self { problems, name, start, table, known, misspelt: Vec::new() };
         for key in table.keys() {
             if !known.contains(&key.get_ref().as_ref()) {
-                keys.unknown(key.get_ref(), key.span().start);
+                let meant = keys.unknown(key.get_ref(), key.span().start);
+                keys.misspelt.extend(meant);
             }
         }
         keys
     }
 
-    fn unknown(&self, key: &str, byte: usize) {
+    /// Notes a key that is not known; returns the one it is misspelt from, if it is near one.
+    fn unknown(&self, key: &str, byte: usize) -> Option<&'static str> {
         let nearest = self
             .known
             .iter()
-            .map(|known| (strsim::osa_distance(key, known), known))
+            .map(|&known| (strsim::osa_distance(key, known), known))
             .min_by_key(|&(distance, _)| distance)
             // More than half the letters wrong is no misprint.
             .filter(|&(distance, known)| 2 * distance <= known.len().max(key.len()));
+        let nearest = nearest.map(|(_, known)| known);
         let remedy = match nearest {
-            Some((_, known)) => format!("did you mean `{}`?", self.path(known)),
+            Some(known) => format!("did you mean `{}`?", self.path(known)),
             None => format!("known here: {}", self.known.join(", ")),
         };
         self.problems.note(byte, &format!("{}: unknown key; {remedy}", self.path(key)));
+        nearest
     }
 
     /// Dotted name of a key of this table.
@@ -132,9 +138,9 @@ impl<'a> Keys<'a> {
         self.problems.note(byte, &format!("{}: {sentence}", self.path(key)));
     }
 
-    /// The value, or a problem if the key is missing.
+    /// The value, or a problem if the key is missing. One that is misspelt was told of already.
     pub fn need<T>(&self, key: &'static str, value: Option<T>, remedy: &str) -> Option<T> {
-        if !self.has(key) {
+        if !self.has(key) && !self.misspelt.contains(&key) {
             self.problem(key, &format!("is missing; {remedy}"));
         }
         value
@@ -239,8 +245,9 @@ impl<'a> Keys<'a> {
         let found = self.text(key)?;
         let choice = choices.iter().find(|(name, _)| *name == found).map(|&(_, value)| value);
         if choice.is_none() {
-            let names: Vec<&str> = choices.iter().map(|&(name, _)| name).collect();
-            self.problem(key, &format!("\"{found}\" is not one of: {}", names.join(", ")));
+            let names: Vec<String> =
+                choices.iter().map(|(name, _)| format!("\"{name}\"")).collect();
+            self.problem(key, &format!("\"{found}\" is not known; write {}", names.join(" or ")));
         }
         choice
     }
@@ -291,11 +298,12 @@ impl<'a> Keys<'a> {
         tables
     }
 
-    /// Which one of `keys` is there; none or several are a problem.
+    /// Which one of `keys` is there; none or several are a problem, a misspelt one was told of already.
     pub fn exactly_one(&self, keys: &'static [&'static str]) -> Option<&'static str> {
         let there: Vec<&str> = keys.iter().copied().filter(|key| self.has(key)).collect();
         match there.as_slice() {
             [one] => Some(one),
+            [] if keys.iter().any(|key| self.misspelt.contains(key)) => None,
             [] => {
                 let sentence = format!("one of {} is needed", keys.join(", "));
                 self.problems.note(self.start, &format!("[{}]: {sentence}", self.name));

@@ -28,6 +28,7 @@ pub mod probe_keys;
 pub mod run;
 pub mod sheet;
 mod shown;
+pub mod stop;
 mod support_light;
 mod unseen;
 pub mod watch;

@@ -8,11 +8,12 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use super::existing;
-use super::file::{Albedo, DenoiseKeys, ModeKeys, ShotFile, StopKeys};
+use super::file::{Albedo, DenoiseKeys, ModeKeys, ShotFile};
 use super::finish::{Finish, finish};
 use super::frames::frame_path;
 use super::plan::Plan;
 use super::prepare::{Prepared, method_name, prepare};
+use super::stop::StopKeys;
 use super::watch::{Stopwatch, Watch, cpu_seconds};
 use super::write::{self, FileMark, OutFiles};
 use crate::composite::{Mode, compose};
@@ -237,7 +238,7 @@ fn render_shot(
     };
     let mut report = RenderReport {
         method: method_name(prepared.method).to_owned(),
-        stop: stop_name(plan.shot.render.stop),
+        stop: plan.shot.render.stop.to_string(),
         complete: true,
         ..RenderReport::default()
     };
@@ -321,12 +322,4 @@ pub fn mode(plan: &Plan) -> (Mode, &'static str) {
 /// The renderer works at the plate's size; another one is a defect of the program.
 pub fn wrong_size(error: crate::composite::CompositeError) -> RunError {
     RunError::Problems(vec![error.to_string()])
-}
-
-fn stop_name(stop: StopKeys) -> String {
-    match stop {
-        StopKeys::Error(error) => format!("error {} %", 100.0 * error),
-        StopKeys::Time(seconds) => format!("{seconds} s in all"),
-        StopKeys::Samples(samples) => format!("{samples} samples a pixel"),
-    }
 }
