@@ -15,6 +15,7 @@ use platelight::render::Context;
 use platelight::shot::ShotFile;
 use platelight::shot::run::{RunError, RunOptions, run_frames};
 use platelight::shot::watch::{Silent, Watch};
+use platelight::shot::write::OutFiles;
 use program::{platelight, text};
 use tiny::{Plate, write_cube, write_shot};
 
@@ -358,6 +359,11 @@ fn a_run_leaves_all_its_files_and_tells_json() {
         "overlay_support.png",
     ] {
         assert!(out.join(name).is_file(), "no {name}");
+    }
+    let files = OutFiles::new(&out, None);
+    for entry in std::fs::read_dir(&out).expect("out").flatten() {
+        let name = entry.file_name().to_string_lossy().into_owned();
+        assert!(files.is_result(&name), "a run writes {name} and would overwrite an input of it");
     }
     let hidden = std::fs::read_dir(&out).expect("out").flatten();
     let left: Vec<PathBuf> = hidden

@@ -29,7 +29,8 @@ use crate::conventions::luminance;
 /// Independent replicates that a finished picture aims at.
 const REPLICATES: u32 = 8;
 const LARGEST_REPLICATE: u32 = 64;
-const MOST_SAMPLES: f64 = 65_536.0;
+/// Samples in a pixel beyond which no error asked for is pursued.
+pub const MOST_SAMPLES: u32 = 65_536;
 /// Replicates and samples per replicate that any sampled pixel gets: with fewer than four the
 /// standard error of a pixel is anything (methods-render R7.3).
 const LEAST_REPLICATES: u32 = 4;
@@ -217,7 +218,10 @@ impl<E: Estimator> Waves<E> {
             return vec![f64::from(LEAST_REPLICATES * LEAST_SAMPLES); self.tiles.len()];
         }
         let scale = sum / (target * target * influenced);
-        self.tiles.iter().map(|t| (sigma(t) * share(t) * scale).min(MOST_SAMPLES)).collect()
+        self.tiles
+            .iter()
+            .map(|t| (sigma(t) * share(t) * scale).min(f64::from(MOST_SAMPLES)))
+            .collect()
     }
 
     /// Cuts the plan to what the time left allows; every tile keeps its least.

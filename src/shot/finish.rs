@@ -7,15 +7,17 @@ use super::existing;
 use super::plan::Plan;
 use super::prepare::Prepared;
 use super::run::{RunError, mode, wrong_size};
+use super::stop::StopKeys;
 use super::watch::{Stopwatch, Watch};
 use super::write::{self, CompositeSettings, FileMark, OutFiles};
 use super::{overlays, place};
 use crate::camera;
-use crate::composite::{Composite, compose};
+use crate::composite::{Composite, Encoded, Mode, compose};
 use crate::conventions::Rgb;
 use crate::photo::Image;
 use crate::probe;
 use crate::render::Difference;
+use crate::render::waves::MOST_SAMPLES;
 use crate::report::{self, CompositeReport, Picture, PlateReport, RenderReport, Report, Warning};
 use crate::scene::{AlbedoSource, Scene};
 
@@ -30,6 +32,15 @@ pub struct Finish<'a> {
     pub seed: u64,
 }
 
+/// The picture that the rendering makes of the plate.
+struct Composed {
+    mode: Mode,
+    /// Why this mode.
+    reason: &'static str,
+    composite: Composite,
+    encoded: Encoded,
+}
+
 /// Writes everything; the report is last, so that a report means a complete shot.
 pub fn finish(
     done: Finish,
@@ -37,108 +48,30 @@ pub fn finish(
     mut stopwatch: Stopwatch,
     watch: &dyn Watch,
 ) -> Result<Report, RunError> {
-    let Finish { plan, prepared, difference, render, settings, inputs, seed } = done;
-    let plate = &plan.plate;
-    let (mode, reason) = mode(plan);
-    let composite = compose(plate, &difference, mode).map_err(wrong_size)?;
-    let encoded = write::encoded(plate, &composite, &difference);
+    let (mode, reason) = mode(done.plan);
+    let plate = &done.plan.plate;
+    let composite = compose(plate, &done.difference, mode).map_err(wrong_size)?;
+    let encoded = write::encoded(plate, &composite, &done.difference);
+    let composed = Composed { mode, reason, composite, encoded };
 
     let mut outputs = Outputs { paths: Vec::new(), watch };
-    let png_path = files.path("composite", "png");
-    write::composite_png(&png_path, plate, &composite, &encoded)?;
-    outputs.wrote(png_path);
-    let exr_path = files.path("composite", "exr");
-    let exr_settings = CompositeSettings {
-        layers: plan.shot.output.layers.clone(),
-        mode: mode.name(),
-        shot: settings.clone(),
-        seed,
-    };
-    write::composite_exr(
-        &exr_path,
-        plate,
-        &difference,
-        &composite,
-        &encoded,
-        &prepared.camera,
-        &exr_settings,
-    )?;
-    outputs.wrote(exr_path);
-    let panorama_path = files.path("panorama", "exr");
-    probe::file::write(&panorama_path, &prepared.light.panorama)?;
-    outputs.wrote(panorama_path);
-    let camera_path = files.path("camera", "json");
-    camera::file::write(&camera_path, &prepared.camera, true)
-        .map_err(|error| RunError::Problems(vec![error.to_string()]))?;
-    outputs.wrote(camera_path);
-    let pictures = write_pictures(plan, prepared, files, &mut outputs)?;
+    write_results(&done, &composed, files, &mut outputs)?;
+    let pictures = write_pictures(done.plan, done.prepared, files, &mut outputs)?;
 
-    let mut warnings = [&plan.warnings[..], &prepared.warnings[..]].concat();
-    let n_told = warnings.len();
-    warnings.extend(composite_warnings(&composite, encoded.clamped));
-    // An object that no pixel shows was told of before; here is one that shows and changes nothing.
-    let told = warnings.iter().any(|warning| warning.about.starts_with("object["));
-    if composite.tally.changed == 0 && !plan.objects.is_empty() && !told && render.missing == 0 {
-        warnings.push(Warning::new(
-            "object",
-            "no object changes a pixel, though all stand in the picture: look at their materials and \
-             at the panorama",
-            "the result is the plate itself",
-        ));
-    }
-    if let super::stop::StopKeys::Error(target) = plan.shot.render.stop
-        && render.complete
-        && render.error > 1.1 * target
-    {
-        warnings.push(Warning::new(
-            "render.error",
-            "the error asked for was not reached with 65 536 samples a pixel",
-            format!("{:.3} % instead of {:.3} %", 100.0 * render.error, 100.0 * target),
-        ));
-    }
-    if render.missing > 0 {
-        let pixels = plate.linear.pixels().len() as u64;
-        warnings.push(Warning::new(
-            "render.time",
-            "the time was over before every part of the picture had its first samples; what has none \
-             shows the plate without the objects; give more time",
-            format!("{:.1} % of the picture", percent(render.missing, pixels)),
-        ));
-    }
-    warnings.extend(outliers_warning(render.outliers, composite.tally.changed));
-    let solved = solved_albedos(&prepared.scene, &difference.albedo);
-    if let Some(ground) = place::ground(plan) {
-        warnings.extend(border_warning(prepared, &difference, &ground));
-    }
-    for warning in warnings[n_told..].iter().filter(|warning| warning.asks) {
+    let found = warnings(&done, &composed);
+    for warning in found.iter().filter(|warning| warning.asks) {
         watch.warning(warning);
     }
-    let (warnings, notes) = Warning::apart(warnings);
-    let budget = budget::budget(prepared, &render);
+    let known = [&done.plan.warnings[..], &done.prepared.warnings[..]].concat();
+    let (warnings, notes) = Warning::apart([known, found].concat());
+
     let report = Report {
-        program: existing::PROGRAM.to_owned(),
-        shot: settings,
-        seed,
-        inputs: serde_json::to_value(&inputs).unwrap_or_default(),
         outputs: outputs.marks(),
-        plate: PlateReport { file: plate.path.clone(), colour: plate.encoding.to_string() },
-        camera: prepared.camera_report.clone(),
-        pose: prepared.pose_report.clone(),
-        probe: prepared.probe_report.clone(),
-        lights: prepared.lights_report.clone(),
-        render,
-        composite: CompositeReport {
-            mode: mode.name().to_owned(),
-            reason: reason.to_owned(),
-            tally: composite.tally,
-            clamped: encoded.clamped,
-            albedo_median: median(&solved),
-        },
         stages: stopwatch.finish(),
-        budget,
         warnings,
         notes,
         pictures,
+        ..report_of(done, &composed)
     };
     let html_path = files.path("report", "html");
     let before = files.name("before", "png");
@@ -148,6 +81,114 @@ pub fn finish(
     report::write_json(&json_path, &report)?;
     watch.written(&json_path);
     Ok(report)
+}
+
+/// Composite, panorama and camera.
+fn write_results(
+    done: &Finish,
+    composed: &Composed,
+    files: &OutFiles,
+    outputs: &mut Outputs,
+) -> Result<(), RunError> {
+    let Finish { plan, prepared, difference, .. } = done;
+    let Composed { mode, composite, encoded, .. } = composed;
+    let path = files.path("composite", "png");
+    write::composite_png(&path, &plan.plate, composite, encoded)?;
+    outputs.wrote(path);
+
+    let settings = CompositeSettings {
+        layers: plan.shot.output.layers.clone(),
+        mode: mode.name(),
+        shot: done.settings.clone(),
+        seed: done.seed,
+    };
+    let path = files.path("composite", "exr");
+    let camera = &prepared.camera;
+    write::composite_exr(&path, &plan.plate, difference, composite, encoded, camera, &settings)?;
+    outputs.wrote(path);
+
+    let path = files.path("panorama", "exr");
+    probe::file::write(&path, &prepared.light.panorama)?;
+    outputs.wrote(path);
+
+    let path = files.path("camera", "json");
+    camera::file::write(&path, camera, true)
+        .map_err(|error| RunError::Problems(vec![error.to_string()]))?;
+    outputs.wrote(path);
+    Ok(())
+}
+
+/// What only the finished picture shows to be wrong.
+fn warnings(done: &Finish, composed: &Composed) -> Vec<Warning> {
+    let Finish { plan, prepared, difference, render, .. } = done;
+    let tally = composed.composite.tally;
+    let mut warnings = composite_warnings(&composed.composite, composed.encoded.clamped);
+    let rendered = !plan.objects.is_empty() && render.missing == 0;
+    if tally.changed == 0 && rendered && !prepared.objects_maybe_unseen {
+        warnings.push(Warning::new(
+            "object",
+            "no object changes a pixel, though all stand in the picture: look at their materials and \
+             at the panorama",
+            "the result is the plate itself",
+        ));
+    }
+    warnings.extend(stop_warning(plan.shot.render.stop, render));
+    if render.missing > 0 {
+        let pixels = plan.plate.linear.pixels().len() as u64;
+        warnings.push(Warning::new(
+            "render.time",
+            "the time was over before every part of the picture had its first samples; what has none \
+             shows the plate without the objects; give more time",
+            format!("{:.1} % of the picture", percent(render.missing, pixels)),
+        ));
+    }
+    warnings.extend(outliers_warning(render.outliers, tally.changed));
+    if let Some(ground) = place::ground(plan) {
+        warnings.extend(border_warning(prepared, difference, &ground));
+    }
+    warnings
+}
+
+/// An error that was asked for and is out of reach; what the last wave misses by is no matter.
+fn stop_warning(stop: StopKeys, render: &RenderReport) -> Option<Warning> {
+    let StopKeys::Error(target) = stop else { return None };
+    (render.complete && render.error > 1.1 * target).then(|| {
+        Warning::new(
+            "render.error",
+            format!("the error asked for was not reached with {MOST_SAMPLES} samples a pixel"),
+            format!("{:.3} % instead of {:.3} %", 100.0 * render.error, 100.0 * target),
+        )
+    })
+}
+
+/// Everything the report says but what was written, when, and what may be wrong.
+fn report_of(done: Finish, composed: &Composed) -> Report {
+    let Finish { plan, prepared, difference, render, settings, inputs, seed } = done;
+    let solved = solved_albedos(&prepared.scene, &difference.albedo);
+    Report {
+        program: existing::PROGRAM.to_owned(),
+        shot: settings,
+        seed,
+        inputs: serde_json::to_value(&inputs).unwrap_or_default(),
+        plate: PlateReport {
+            file: plan.plate.path.clone(),
+            colour: plan.plate.encoding.to_string(),
+        },
+        camera: prepared.camera_report.clone(),
+        pose: prepared.pose_report.clone(),
+        probe: prepared.probe_report.clone(),
+        lights: prepared.lights_report.clone(),
+        budget: budget::budget(prepared, &render),
+        render,
+        composite: CompositeReport {
+            mode: composed.mode.name().to_owned(),
+            reason: composed.reason.to_owned(),
+            tally: composed.composite.tally,
+            clamped: composed.encoded.clamped,
+            albedo_median: median(&solved),
+        },
+        ..Report::default()
+    }
 }
 
 /// Files written so far.
@@ -272,12 +313,11 @@ fn border_warning(
                 let point =
                     ground.centre + ground.sides[side] * along + ground.sides[other] * across;
                 let Some(pixel) = prepared.camera.project_world(point) else { continue };
-                let (x, y) = (pixel.x.round(), pixel.y.round());
-                if x < 0.0 || y < 0.0 {
+                if !prepared.camera.shows(pixel) {
                     continue;
                 }
-                let at = (x as usize, y as usize);
-                let Some(&d) = difference.difference.get(at.0, at.1) else { continue };
+                let at = (pixel.x.round() as usize, pixel.y.round() as usize);
+                let d = difference.difference[at];
                 seen += 1;
                 let plate_noise = 2.0 * difference.stderr[at];
                 let visible = d.abs().cmpgt(plate_noise).any()

@@ -22,26 +22,31 @@ const LEAST_GAP_M: f64 = 1e-3;
 const TOO_LARGE: f64 = 5.0;
 const TOO_SMALL: f64 = 1.0 / 250.0;
 
-/// One sentence for each object that is not where it can be meant to be.
-///
-/// `local` is built over the meshes of `scene.local`, in their order.
-pub fn warnings(plan: &Plan, scene: &Scene, camera: &Camera, local: &Accel) -> Vec<Warning> {
+/// What the places of the objects say.
+pub struct Judged {
+    /// One sentence for each object that is not where it can be meant to be.
+    pub warnings: Vec<Warning>,
+    /// No pixel may show some object: it is out of sight, or far too small or large. It is told of.
+    pub maybe_unseen: bool,
+}
+
+/// Judges where the objects stand. `local` is built over the meshes of `scene.local`, in their order.
+pub fn judge(plan: &Plan, scene: &Scene, camera: &Camera, local: &Accel) -> Judged {
     let objects: Vec<&Mesh> = scene.objects.iter().collect();
     let around = Around { plan, scene, camera, objects: Accel::build(&objects), local };
-    let mut found = Vec::new();
+    let mut judged = Judged { warnings: Vec::new(), maybe_unseen: false };
     for (i, name) in scene.object_names.iter().enumerate() {
         let meshes: Vec<&Mesh> = scene.objects.iter().filter(|mesh| mesh.placed == i).collect();
         let Some(object) = Placed::new(i, name, &meshes, scene) else { continue };
         // An object in wrong units is also in the wrong place: one sentence, not three.
-        match around.size(&object) {
-            Some(warning) => found.push(warning),
-            None => {
-                found.extend(around.standing(&object));
-                found.extend(around.sight(&object));
-            }
-        }
+        let (standing, unseen) = match around.size(&object) {
+            Some(warning) => (None, Some(warning)),
+            None => (around.standing(&object), around.sight(&object)),
+        };
+        judged.maybe_unseen |= unseen.is_some();
+        judged.warnings.extend(standing.into_iter().chain(unseen));
     }
-    found
+    judged
 }
 
 /// Everything an object is held against.

@@ -37,6 +37,8 @@ pub struct Prepared {
     pub method: Method,
     /// Beside the plan's own.
     pub warnings: Vec<Warning>,
+    /// No pixel may show some object, and a warning says so.
+    pub objects_maybe_unseen: bool,
     /// What the pose was found from, and the camera that saw it.
     pub seen: Vec<Seen>,
     pub seen_by: Camera,
@@ -114,7 +116,8 @@ pub fn prepare(
     warnings.extend(light.warnings.iter().cloned());
     warnings.extend(lost_triangles_warning(&scene));
     warnings.extend(unseen::warning(&scene, &shown));
-    warnings.extend(placing::warnings(plan, &scene, &camera, &shown.local));
+    let placing = placing::judge(plan, &scene, &camera, &shown.local);
+    warnings.extend(placing.warnings);
     warnings.extend(support_light::warnings(&View {
         plate: &plan.plate.linear,
         clipped: &plan.plate.clipped,
@@ -144,6 +147,7 @@ pub fn prepare(
         scene,
         method,
         warnings,
+        objects_maybe_unseen: placing.maybe_unseen,
         seen: found_pose.seen,
         seen_by: Camera {
             width: found_lens.width,

@@ -60,7 +60,7 @@ pub struct FileMark {
     pub file: PathBuf,
     pub bytes: u64,
     /// Nanoseconds since 1970; 0 where the system does not say.
-    pub modified: u64,
+    pub modified_ns: u64,
 }
 
 impl FileMark {
@@ -72,7 +72,7 @@ impl FileMark {
         Some(Self {
             file: path.to_owned(),
             bytes: metadata.len(),
-            modified: since.map_or(0, |since| since.as_nanos() as u64),
+            modified_ns: since.map_or(0, |since| since.as_nanos() as u64),
         })
     }
 }
