@@ -175,6 +175,7 @@ fn a_name_that_ends_in_another_format_is_refused() {
         &["merge", "a.png", "b.png", "-o", "m.png"][..],
         &["panorama", "a.hdr", "--angular", "-o", "p"],
         &["preview", picture, "-o", preview],
+        &["preview", "no.png", "-o", preview],
     ] {
         let said = stderr(&platelight(arguments));
         assert!(said.contains("must end in .") && said.contains("name it"), "{said}");
@@ -208,6 +209,55 @@ fn a_place_that_takes_no_files_is_told_before_anything_is_read() {
         assert!(told.iter().any(|place| said.contains(place)), "{arguments:?}: {said}");
         assert!(!said.contains(".platelight-") && !said.contains("no.png: cannot"), "{said}");
     }
+}
+
+#[test]
+fn a_folder_that_is_a_file_or_the_system_s_is_called_so() {
+    let folder = tempfile::tempdir().expect("a folder");
+    write_shot(folder.path(), Plate::Png8, "");
+    let plate = folder.path().join("plate.png");
+    let said = stderr(&platelight(&["run", text(folder.path()), "--out", text(&plate)]));
+    assert!(said.contains("plate.png is a file, not a folder; choose another"), "{said}");
+    #[cfg(target_os = "linux")]
+    {
+        let said = stderr(&platelight(&["run", text(folder.path()), "--out", "/proc/out"]));
+        assert!(said.contains("the system lets nobody make files in /proc; choose"), "{said}");
+    }
+}
+
+#[test]
+fn when_to_stop_is_judged_alike_on_the_command_line_and_in_the_shot_file() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let shot = write_shot(folder.path(), Plate::Png8, "");
+    let text_of = std::fs::read_to_string(&shot).expect("shot");
+    for (key, value, told) in [
+        ("error", "-1", "-1 is no share of the plate; write one from"),
+        ("error", "3", "3 is no share of the plate; write one from"),
+        ("time", "0", "0 is no time; write seconds above 0"),
+        ("time", "\"-5m\"", "\"-5m\" is no time; write seconds above 0"),
+        ("samples", "0", "0 is no number of samples; write a whole number"),
+        ("samples", "2.5", "2.5 is no number of samples; write a whole number"),
+    ] {
+        // A shell takes the quotes away, and a time of the command line is quoted as text.
+        let plain = |text: &str| text.replace('"', "");
+        for command in ["run", "batch"] {
+            let option = plain(&format!("--{key}={value}"));
+            let output = platelight(&[command, text(folder.path()), &option]);
+            let said = plain(&stderr(&output));
+            assert_eq!(output.status.code(), Some(2), "{said}");
+            assert!(said.contains(&plain(&format!("--{key}: {told}"))), "{said}");
+        }
+        let wrong = text_of.replace("samples = 8", &format!("{key} = {value}"));
+        std::fs::write(&shot, wrong).expect("shot");
+        let said = stderr(&platelight(&["check", text(folder.path())]));
+        assert!(said.contains(&format!("render.{key}: {told}")), "{said}");
+        std::fs::write(&shot, &text_of).expect("shot");
+    }
+    // As people type them: a negative number is no option, and a unit is understood.
+    let said = stderr(&platelight(&["run", "nowhere", "--error", "-1"]));
+    assert!(said.contains("--error: -1 is no share"), "{said}");
+    let said = stderr(&platelight(&["run", "nowhere", "--time", "60s"]));
+    assert!(said.contains("nowhere") && !said.contains("--time"), "{said}");
 }
 
 #[test]

@@ -67,7 +67,7 @@ fn a_bracket_becomes_radiance_and_a_picture_of_it() {
 fn wrong_requests_exit_with_2_name_the_file_and_write_nothing() {
     let folder = tempfile::tempdir().unwrap();
     let photos = bracket_in(folder.path());
-    let out = folder.path().join("out.exr");
+    let (out, png) = (folder.path().join("out.exr"), folder.path().join("out.png"));
     let missing = folder.path().join("missing.png");
     for (arguments, word) in [
         // No EXIF and no times.
@@ -75,15 +75,15 @@ fn wrong_requests_exit_with_2_name_the_file_and_write_nothing() {
         (vec!["merge", text(&photos[0]), text(&missing), "--out", text(&out)], "missing.png"),
         (vec!["merge", text(&photos[0]), "--times", "1,2", "--out", text(&out)], "2 times"),
         (vec!["merge", text(&photos[0]), "--times", "0", "--out", text(&out)], "1/60"),
-        (vec!["preview", text(&missing), "--out", text(&out)], "missing.png"),
-        (vec!["preview", text(&photos[0]), "--exposure", "lots", "--out", text(&out)], "auto"),
-        (vec!["preview", text(&photos[0]), "--layer", "depth", "--out", text(&out)], "depth"),
-        (vec!["preview", text(&photos[0]), "--colour", "sRBG", "--out", text(&out)], "acescg"),
+        (vec!["preview", text(&missing), "--out", text(&png)], "missing.png"),
+        (vec!["preview", text(&photos[0]), "--exposure", "lots", "--out", text(&png)], "auto"),
+        (vec!["preview", text(&photos[0]), "--layer", "depth", "--out", text(&png)], "depth"),
+        (vec!["preview", text(&photos[0]), "--colour", "sRBG", "--out", text(&png)], "acescg"),
     ] {
         let output = platelight(&arguments);
         assert_eq!(output.status.code(), Some(2), "{arguments:?}");
         let said = String::from_utf8_lossy(&output.stderr);
         assert!(said.contains(word), "{arguments:?}: {said}");
-        assert!(!out.exists(), "{arguments:?} wrote something");
+        assert!(!out.exists() && !png.exists(), "{arguments:?} wrote something");
     }
 }

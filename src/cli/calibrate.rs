@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use serde::Serialize;
 
-use super::error::{check_outputs, refuse_repeated};
+use super::outputs::{check_outputs, refuse_repeated};
 use super::{CliError, Global, Outcome, targets};
 use crate::camera::{Camera, Pose, file};
 use crate::report::{CameraReport, Warning};

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use glam::DVec3;
 use serde::Serialize;
 
-use super::error::check_outputs;
+use super::outputs::check_outputs;
 use super::{CliError, Global, Outcome, calibrate};
 use crate::camera::{Camera, file};
 use crate::photo::{self, ReadOptions};
@@ -91,7 +91,7 @@ struct Summary {
 
 pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
     if let Some(out) = &args.out {
-        check_outputs(&[&args.photo], &[out])?;
+        check_outputs(&[&args.photo, &args.camera], &[out])?;
     }
     let read = file::read(&args.camera)?;
     let photo = photo::read(&args.photo, &ReadOptions::default())?;

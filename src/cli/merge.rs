@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
-use super::error::{check_ending, check_outputs};
+use super::outputs::{check_ending, check_outputs};
 use super::{CliError, Global, Outcome};
 use crate::bracket::{
     self, Frame, MergeOptions, Merged, Noise, ResponseSource, Validity, Warning, exposure,
@@ -78,8 +78,9 @@ struct FrameSummary {
 }
 
 pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
-    let photos: Vec<&Path> = args.photos.iter().map(PathBuf::as_path).collect();
-    check_outputs(&photos, &[&args.out])?;
+    let inputs: Vec<&Path> =
+        args.photos.iter().chain(&args.times_file).map(PathBuf::as_path).collect();
+    check_outputs(&inputs, &[&args.out])?;
     check_ending(&args.out, "exr")?;
     let options = ReadOptions { colour: colour::named(&args.colour)?, ..ReadOptions::default() };
     let photos = read_all(&args.photos, &options, global)?;

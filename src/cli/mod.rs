@@ -12,6 +12,7 @@ mod error;
 mod interrupt;
 mod locate;
 mod merge;
+mod outputs;
 mod panorama;
 mod preview;
 mod progress;

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use glam::{DQuat, DVec3, Vec3};
 use serde::Serialize;
 
-use super::error::{check_ending, check_outputs};
+use super::outputs::{check_ending, check_outputs};
 use super::{CliError, Global, Outcome};
 use crate::bracket::{self, Frame, MergeOptions, Radiance, Validity, exposure};
 use crate::camera::lens::focal_px_from_35mm;
@@ -211,11 +211,12 @@ struct Photographed {
 }
 
 pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
-    let photos: Vec<&Path> = args.photos.iter().map(PathBuf::as_path).collect();
+    let beside = args.camera.iter().chain(&args.clean_plate);
+    let inputs: Vec<&Path> = args.photos.iter().chain(beside).map(PathBuf::as_path).collect();
     let further = [&args.preview, &args.overlay].into_iter().flatten();
     let outputs: Vec<&Path> =
         [&args.out].into_iter().chain(further).map(PathBuf::as_path).collect();
-    check_outputs(&photos, &outputs)?;
+    check_outputs(&inputs, &outputs)?;
     check_ending(&args.out, "exr")?;
     for png in [&args.preview, &args.overlay].into_iter().flatten() {
         check_ending(png, "png")?;

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use serde::Serialize;
 
-use super::error::{check_ending, check_outputs};
+use super::outputs::{check_ending, check_outputs};
 use super::{CliError, Global, Outcome};
 use crate::photo::tone::{self, ToneCurve};
 use crate::photo::{self, Encoding, EncodingSource, Primaries, ReadOptions, Transfer, colour, png};
@@ -65,16 +65,16 @@ pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
     };
     let out = args.out.clone().unwrap_or_else(|| args.picture.with_extension("preview.png"));
     check_outputs(&[&args.picture], &[&out])?;
-    let photo = photo::read(&args.picture, &options)?;
-    for remark in &photo.remarks {
-        global.warn(&format!("{}: {remark}", args.picture.display()));
-    }
+    check_ending(&out, "png")?;
     let stops = match args.exposure.as_str() {
-        "auto" => tone::automatic_stops(&photo.linear),
-        text => text.parse().ok().filter(|s: &f32| s.abs() <= 60.0).ok_or_else(|| {
+        "auto" => None,
+        text => Some(text.parse().ok().filter(|s: &f32| s.abs() <= 60.0).ok_or_else(|| {
             CliError::wrong(format!("--exposure {text}: give stops between -60 and 60, or auto"))
-        })?,
+        })?),
     };
+    let photo = photo::read(&args.picture, &options)?;
+    photo.named_remarks().for_each(|remark| global.warn(&remark));
+    let stops = stops.unwrap_or_else(|| tone::automatic_stops(&photo.linear));
     let curve = match args.curve {
         Curve::Srgb => ToneCurve::Clip,
         Curve::Reinhard => ToneCurve::Reinhard,
@@ -87,7 +87,6 @@ pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
         primaries: Primaries::Rec709,
         source: EncodingSource::Named,
     };
-    check_ending(&out, "png")?;
     global.go_on()?;
     png::write(&out, &png::srgb_codes(&shown), shown.width(), shown.height(), &encoding)?;
     if white > 0.9 && args.exposure != "auto" {

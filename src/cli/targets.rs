@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
-use super::error::check_outputs;
+use super::outputs::check_outputs;
 use super::{CliError, Global, Outcome};
 use crate::photo::atomic;
 use crate::shot::sheet::{self, Sheet};
@@ -80,28 +80,27 @@ struct Summary {
 }
 
 pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
-    let (sheets, out) = match &args.target {
+    let (Target::Checkerboard(BoardArgs { page, .. })
+    | Target::Charuco(BoardArgs { page, .. })
+    | Target::Tags(TagArgs { page, .. })) = &args.target;
+    let (out, format) = (&page.out, Format::of(&page.out)?);
+    check_outputs(&[], &[out])?;
+    let page = sheet::page_mm(&page.page)?;
+    let sheets = match &args.target {
         Target::Checkerboard(board) => {
             let [columns, rows] = counts(&board.corners)?;
-            let page = sheet::page_mm(&board.page.page)?;
-            (vec![sheet::checkerboard(columns, rows, board.square_mm, page)?], &board.page.out)
+            vec![sheet::checkerboard(columns, rows, board.square_mm, page)?]
         }
         Target::Charuco(board) => {
             let [columns, rows] = counts(&board.corners)?;
-            let page = sheet::page_mm(&board.page.page)?;
-            (vec![sheet::charuco(columns + 1, rows + 1, board.square_mm, page)?], &board.page.out)
+            vec![sheet::charuco(columns + 1, rows + 1, board.square_mm, page)?]
         }
         Target::Tags(tags) => {
-            let page = sheet::page_mm(&tags.page.page)?;
-            let sheets = ids(&tags.ids)?
-                .into_iter()
-                .map(|id| sheet::tag(&tags.family, id, tags.size_mm, page))
-                .collect::<Result<Vec<_>, _>>()?;
-            (sheets, &tags.page.out)
+            let of_id = |id| sheet::tag(&tags.family, id, tags.size_mm, page);
+            ids(&tags.ids)?.into_iter().map(of_id).collect::<Result<Vec<_>, _>>()?
         }
     };
-    let bytes = encode(out, &sheets)?;
-    check_outputs(&[], &[out])?;
+    let bytes = format.encode(&sheets)?;
     global.go_on()?;
     atomic::write(out, |file| file.write_all(&bytes))
         .map_err(|e| CliError::wrong(format!("{}: {e}", out.display())))?;
@@ -114,15 +113,34 @@ pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
     Ok(Outcome::Done)
 }
 
-fn encode(out: &Path, sheets: &[Sheet]) -> Result<Vec<u8>, CliError> {
-    let ending = out.extension().and_then(|e| e.to_str()).unwrap_or("").to_ascii_lowercase();
-    match (ending.as_str(), sheets) {
-        ("pdf", _) => Ok(sheet::pdf(sheets)),
-        ("svg", [one]) => Ok(one.svg().into_bytes()),
-        ("svg", _) => {
-            Err(CliError::wrong("--out: an SVG holds one page; use .pdf for several tags"))
+/// What the sheets are written as.
+enum Format {
+    Pdf,
+    Svg,
+}
+
+impl Format {
+    /// By the ending of a file's name.
+    fn of(out: &Path) -> Result<Self, CliError> {
+        let ending = out.extension().and_then(|e| e.to_str()).unwrap_or("").to_ascii_lowercase();
+        match ending.as_str() {
+            "pdf" => Ok(Self::Pdf),
+            "svg" => Ok(Self::Svg),
+            _ => {
+                let out = out.display();
+                Err(CliError::wrong(format!("{out}: the name must end in .pdf or .svg")))
+            }
         }
-        _ => Err(CliError::wrong(format!("{}: the name must end in .pdf or .svg", out.display()))),
+    }
+
+    fn encode(self, sheets: &[Sheet]) -> Result<Vec<u8>, CliError> {
+        match (self, sheets) {
+            (Self::Pdf, _) => Ok(sheet::pdf(sheets)),
+            (Self::Svg, [one]) => Ok(one.svg().into_bytes()),
+            (Self::Svg, _) => {
+                Err(CliError::wrong("--out: an SVG holds one page; use .pdf for several tags"))
+            }
+        }
     }
 }
 

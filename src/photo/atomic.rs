@@ -70,9 +70,14 @@ fn temporary_in(folder: &Path) -> io::Result<NamedTempFile> {
     }
     builder.tempfile_in(folder).map_err(|error| {
         let (kind, place) = (error.kind(), folder.display());
-        let said = match folder.is_dir() {
-            true => format!("folder {place} takes no files: {kind}"),
-            false => format!("{place} is no folder that is there"),
+        let said = match std::fs::metadata(folder) {
+            // A folder of the system itself, such as /proc, knows no new names.
+            Ok(there) if there.is_dir() && kind == io::ErrorKind::NotFound => {
+                format!("the system lets nobody make files in {place}")
+            }
+            Ok(there) if there.is_dir() => format!("folder {place} takes no files: {kind}"),
+            Ok(_) => format!("{place} is a file, not a folder"),
+            Err(_) => format!("the folder {place} is not there"),
         };
         io::Error::new(kind, said)
     })
