@@ -45,7 +45,8 @@ struct Summary<'a> {
     out: &'a PathBuf,
     camera: &'a CameraReport,
     rungs: &'a [Rung],
-    warnings: &'a [Warning],
+    warnings: Vec<Warning>,
+    notes: Vec<Warning>,
 }
 
 pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
@@ -68,7 +69,8 @@ pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
     global.go_on()?;
     file::write(&args.out, &camera, false)?;
     global.tell(warnings);
-    let summary = Summary { out: &args.out, camera: report, rungs, warnings };
+    let (warnings, notes) = Warning::apart(warnings.clone());
+    let summary = Summary { out: &args.out, camera: report, rungs, warnings, notes };
     global.print(&summary, || describe(&found, &args.out));
     Ok(Outcome::Done)
 }

@@ -87,6 +87,7 @@ struct Summary {
     /// Camera axes (−Z forward, +Y up) to world, three rows of four.
     world_from_camera: [[f64; 4]; 3],
     warnings: Vec<Warning>,
+    notes: Vec<Warning>,
 }
 
 pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
@@ -122,11 +123,13 @@ pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
     global.tell(&found.warnings);
     let (m, t) = (camera.pose.rotation(), camera.pose.position());
     let row = |i: usize| [m.x_axis[i], m.y_axis[i], m.z_axis[i], t[i]];
+    let (warnings, notes) = Warning::apart(found.warnings);
     let summary = Summary {
         out: args.out.clone(),
         pose: found.report,
         world_from_camera: [row(0), row(1), row(2)],
-        warnings: found.warnings,
+        warnings,
+        notes,
     };
     global.print(&summary, || describe(&summary));
     Ok(Outcome::Done)

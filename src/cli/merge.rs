@@ -65,6 +65,8 @@ struct Summary {
     lower_bound_px: usize,
     upper_bound_px: usize,
     warnings: Vec<String>,
+    /// What is good to know and asks for nothing.
+    notes: Vec<String>,
 }
 
 #[derive(Serialize)]
@@ -167,6 +169,9 @@ fn summary(args: &Args, stated: &[f64], merged: &Merged) -> Summary {
     let is_copy = |file: &PathBuf| {
         merged.warnings.iter().any(|w| matches!(w, Warning::Duplicate { b, .. } if b == file))
     };
+    let (warnings, notes): (Vec<&Warning>, Vec<_>) =
+        merged.warnings.iter().partition(|warning| warning.asks());
+    let sentences = |said: Vec<&Warning>| said.into_iter().map(ToString::to_string).collect();
     let count = |class: Validity| validity.iter().filter(|&&v| v == class).count();
     Summary {
         out: args.out.clone(),
@@ -191,7 +196,8 @@ fn summary(args: &Args, stated: &[f64], merged: &Merged) -> Summary {
         single_px: count(Validity::Single),
         lower_bound_px: count(Validity::LowerBound),
         upper_bound_px: count(Validity::UpperBound),
-        warnings: merged.warnings.iter().map(ToString::to_string).collect(),
+        warnings: sentences(warnings),
+        notes: sentences(notes),
     }
 }
 

@@ -55,7 +55,8 @@ pub struct Warning {
     pub message: String,
     /// How large the effect on the picture can be; empty where the message says it.
     pub size: String,
-    /// False of a note, which asks for nothing.
+    /// False of a note, which asks for nothing. Not written: lists of the two are kept apart
+    /// ([`Warning::apart`]).
     #[serde(skip)]
     pub asks: bool,
 }
@@ -69,7 +70,8 @@ impl Warning {
         Self { about: about.into(), message: message.into(), size: size.into(), asks: true }
     }
 
-    /// Something good to know that asks for nothing: it is in the report, and not on the terminal.
+    /// Something good to know that asks for nothing. Reports list notes apart from warnings; a run does
+    /// not say them on the terminal, the other commands say them as notes.
     pub fn note(
         about: impl Into<String>,
         message: impl Into<String>,
