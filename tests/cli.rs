@@ -8,6 +8,7 @@ mod tiny;
 use std::path::{Path, PathBuf};
 use std::process::Output;
 
+use platelight::camera::{Camera, Lens, Pose, file};
 use platelight::conventions::Rgb;
 use platelight::photo::Image;
 use platelight::photo::exr_file::{self, ExrPicture, ExrSamples};
@@ -65,6 +66,7 @@ fn a_panorama_s_arguments_are_judged_before_anything_is_read() {
         (vec!["a.jpg", "--ball", "--reflectance", "0.5,0.5"], "--reflectance"),
         (vec!["a.jpg", "--ball", "--reflectance", "7"], "reflectance"),
         (vec!["a.jpg", "--ball", "--hint", "1,2"], "--hint"),
+        (vec!["a.jpg", "--ball", "--camera", "c.json", "--crop", "1,2,0"], "--crop"),
         (vec!["a.hdr", "--cube", "--colour", "sRBG"], "sRBG"),
         (vec!["a.jpg", "--fisheye", "equidistant", "--times", "x"], "\"x\""),
     ] {
@@ -74,6 +76,27 @@ fn a_panorama_s_arguments_are_judged_before_anything_is_read() {
         let said = stderr(&output);
         assert!(said.contains(told) && !said.contains("cannot be read"), "{arguments:?}: {said}");
     }
+}
+
+#[test]
+fn a_ball_in_a_cut_out_is_unwrapped_once_its_place_in_the_frame_is_said() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let camera = folder.path().join("camera.json");
+    let lens = Lens::pinhole(1180.0, 1080, 720);
+    let whole = Camera { width: 1080, height: 720, lens, pose: Pose::identity() };
+    file::write(&camera, &whole, false).expect("camera.json");
+    let ball = Path::new(env!("CARGO_MANIFEST_DIR")).join("plates/demo/ball_b3.jpg");
+    let out = folder.path().join("panorama.exr");
+    let arguments =
+        ["panorama", text(&ball), "--ball", "--camera", text(&camera), "-o", text(&out)];
+    let said = stderr(&platelight(&arguments));
+    assert!(said.contains("600 × 600 px") && said.contains("--crop"), "{said}");
+    let crop = ["--crop", "1260,661,3", "--width", "128", "--json"];
+    let output = platelight(&[&arguments[..], &crop].concat());
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+    let json: serde_json::Value = serde_json::from_slice(&output.stdout).expect("JSON");
+    let inliers = json["ball"]["inliers"].as_f64().expect("a share");
+    assert!(inliers > 0.8, "the rim fits a cone through this part of the lens: {json}");
 }
 
 #[test]

@@ -32,6 +32,7 @@ use crate::probe::{Ball, Panorama, clipped_regions, file};
 #[derive(Debug, clap::Args)]
 #[command(
     after_help = "Examples:\n  platelight panorama ball_b*.jpg --ball --camera camera.json -o pano.exr --preview pano.png\n  \
+                        platelight panorama cut_b*.jpg --ball --camera camera.json --crop 1260,661,3 -o pano.exr\n  \
                         platelight panorama ball.jpg --ball --focal-px 1264 --hint 755,549,73 -o pano.exr\n  \
                         platelight panorama sky.exr --fisheye equidistant --fov 180 --rotation 90,0,0 -o pano.exr\n  \
                         platelight panorama grace_probe.hdr --angular -o grace.exr"
@@ -54,6 +55,15 @@ pub struct Args {
     /// Focal length in pixels [default: the 35-mm equivalent of EXIF or of a merged EXR, right only for uncropped photographs]
     #[arg(long, value_name = "F", requires = "ball")]
     focal_px: Option<f64>,
+    /// The photographs are a cut-out at SCALE × the camera's frame; their pixel (0, 0) is X,Y there
+    #[arg(
+        long,
+        value_name = "X,Y,SCALE",
+        value_delimiter = ',',
+        allow_hyphen_values = true,
+        requires = "camera"
+    )]
+    crop: Option<Vec<f64>>,
     /// Share of light the ball reflects: one number or one for each of R,G,B
     #[arg(long, value_name = "R,G,B", value_delimiter = ',', requires = "ball")]
     reflectance: Option<Vec<f32>>,
@@ -167,6 +177,7 @@ struct Wishes<'a> {
     rotation: DQuat,
     hint: Option<[f64; 3]>,
     circle: Option<[f64; 3]>,
+    crop: Option<[f64; 3]>,
     times_s: Option<Vec<f64>>,
     /// `None`: not given.
     reflectance: Option<Rgb>,
@@ -196,6 +207,7 @@ impl<'a> Wishes<'a> {
             rotation: file::rotation_xyz_deg(rotation),
             hint: triple("--hint", args.hint.as_deref())?,
             circle: triple("--circle", args.circle.as_deref())?,
+            crop: crop(args)?,
             times_s: times.map(Iterator::collect).transpose()?,
             reflectance,
         })
@@ -285,7 +297,7 @@ fn photographed(
         let panorama = photographed::fisheye(&radiance, &lens, wishes.rotation, args.width)?;
         return Ok(Photographed { panorama, ball: None, overlay: None });
     }
-    let camera = ball_camera(args, &photos[0], w, h)?;
+    let camera = ball_camera(wishes, &photos[0], w, h)?;
     let plate = match &args.clean_plate {
         Some(path) => Some(photo::read(path, &wishes.read)?.linear),
         None => None,
@@ -352,14 +364,18 @@ fn fisheye(wishes: &Wishes, kind: FisheyeKind, w: usize, h: usize) -> Result<Fis
 }
 
 /// The camera of the ball's photographs: a file, a focal length, or EXIF.
-fn ball_camera(args: &Args, photo: &Photo, w: usize, h: usize) -> Result<Camera, CliError> {
+fn ball_camera(wishes: &Wishes, photo: &Photo, w: usize, h: usize) -> Result<Camera, CliError> {
+    let args = wishes.args;
     if let Some(path) = &args.camera {
         let camera = camera::file::read(path)?.camera;
+        if let Some([x, y, scale]) = wishes.crop {
+            return Ok(camera.cropped(x, y, scale, w, h));
+        }
         if (camera.width, camera.height) != (w, h) {
             let (cw, ch, path) = (camera.width, camera.height, path.display());
             return Err(CliError::wrong(format!(
                 "{path}: the camera is of {cw} × {ch} px, the photographs of {w} × {h} px; calibrate \
-                 with photographs of the same size"
+                 with photographs of the same size, or say which part of the frame these are (--crop)"
             )));
         }
         return Ok(camera);
@@ -383,6 +399,16 @@ fn ball_camera(args: &Args, photo: &Photo, w: usize, h: usize) -> Result<Camera,
     let source = if args.focal_px.is_some() { "--focal-px" } else { "EXIF" };
     lens.check_plausible(w, h).map_err(|cause| CliError::wrong(format!("{source}: {cause}")))?;
     Ok(Camera { width: w, height: h, lens, pose: Pose::identity() })
+}
+
+/// The place and scale of a cut-out.
+fn crop(args: &Args) -> Result<Option<[f64; 3]>, CliError> {
+    match triple("--crop", args.crop.as_deref())? {
+        Some([.., scale]) if scale <= 0.0 => {
+            Err(CliError::wrong(format!("--crop: {scale} is no scale; the frame itself has 1")))
+        }
+        crop => Ok(crop),
+    }
 }
 
 /// The three numbers of an option, if it was given.
