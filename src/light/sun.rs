@@ -423,14 +423,16 @@ mod tests {
                     (f64::from(k) * 0.754_877_666).fract(),
                     (f64::from(k) * 0.569_840_29).fract(),
                 );
-                let draw = lights.sample(stratum, u).unwrap();
-                assert!((lights.evaluate(draw.direction).1 / draw.pdf - 1.0).abs() < 1e-3);
+                let draw = lights.sample(stratum, Vec3::ZERO, u).unwrap();
+                assert!(
+                    (lights.evaluate(Vec3::ZERO, draw.direction).1 / draw.pdf - 1.0).abs() < 1e-3
+                );
                 sum += (draw.radiance * draw.direction.y.max(0.0) / draw.pdf).as_dvec3();
             }
         }
         let mean = sum / f64::from(n);
         // A rank-1 lattice of 20 000 points: its error on these smooth pieces is far below 0.3 %.
         assert!((mean / exact.as_dvec3() - 1.0).abs().max_element() < 3e-3, "{mean} {exact}");
-        assert!(lights.sample(2, DVec2::ZERO).is_none());
+        assert!(lights.sample(2, Vec3::ZERO, DVec2::ZERO).is_none());
     }
 }

@@ -6,6 +6,7 @@
 
 use glam::Vec3;
 
+use super::near_tests::{plate_of_lit_ground, room, table_lamp};
 use super::test_scenes::*;
 use super::{Difference, Method};
 use crate::camera::Camera;
@@ -132,4 +133,29 @@ fn estimators_agree_in_a_concave_place_with_a_prop() {
     let ball = sphere(Vec3::new(0.0, 0.3, 0.0), 0.3, 4);
     let scene = scene(vec![ball], matt(0.5), local_meshes());
     assert_agreement("corner", &scene, &lights, &camera, &plate);
+}
+
+#[test]
+fn estimators_agree_in_a_room_with_a_window_and_a_lamp() {
+    let lights = room(Some(table_lamp()));
+    let grey = AlbedoSource::Constant(Rgb::splat(0.5));
+    let camera = corner_camera(WIDTH, HEIGHT, 1.6);
+    let ball = || vec![sphere(Vec3::new(0.0, 0.2, 0.0), 0.2, 4)];
+    let plate = plate_of_lit_ground(&lights, &camera, 0.5);
+    let matt_ball = scene(ball(), matt(0.6), vec![local(ground(1.2), grey)]);
+    assert_agreement("room", &matt_ball, &lights, &camera, &plate);
+    let steel = Material { metallic: 1.0, roughness: 0.4, ..matt(0.7) };
+    let steel_ball = scene(ball(), steel, vec![local(ground(1.2), grey)]);
+    assert_agreement("room, steel", &steel_ball, &lights, &camera, &plate);
+}
+
+#[test]
+fn estimators_agree_under_a_sky_and_a_lamp() {
+    let lights = uniform_sky(0.5).near(Vec3::ZERO, None, vec![table_lamp()]);
+    let grey = AlbedoSource::Constant(Rgb::splat(0.5));
+    let camera = corner_camera(WIDTH, HEIGHT, 1.6);
+    let plate = plate_of_lit_ground(&lights, &camera, 0.5);
+    let ball = sphere(Vec3::new(0.0, 0.2, 0.0), 0.2, 4);
+    let scene = scene(vec![ball], matt(0.6), vec![local(ground(1.2), grey)]);
+    assert_agreement("sky and lamp", &scene, &lights, &camera, &plate);
 }

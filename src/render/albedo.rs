@@ -183,7 +183,9 @@ fn node(
     if point.colour == Colouring::Own {
         return None;
     }
-    let exact = world.skylight.radiance(point.surface.geometric).filter(|_| world.flat);
+    let surface = &point.surface;
+    let exact = world.skylight.radiance(surface.position, surface.geometric);
+    let exact = exact.filter(|_| world.flat);
     let radiance = exact.unwrap_or_else(|| {
         let sum: Rgb = (0..samples)
             .map(|index| world.look(&point, Want::Without, 1.0, sampler(index), 0).without)

@@ -55,7 +55,8 @@ impl World<'_> {
         if n == 0 {
             return Rgb::ZERO;
         }
-        let whole = self.skylight.radiance(normal).map_or(0.0, |l| PI * l.max_element());
+        let whole =
+            self.skylight.radiance(surface.position, normal).map_or(0.0, |l| PI * l.max_element());
         let share = if whole > 0.0 { total / whole } else { 1.0 };
         let draws = (MOST_DRAWS * share).ceil().clamp(1.0, MOST_DRAWS);
 

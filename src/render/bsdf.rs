@@ -50,6 +50,13 @@ pub struct Scattered {
     pub pdf: f32,
 }
 
+impl Scattered {
+    /// Balance heuristic against lights that draw this direction with density `light_pdf`.
+    pub fn weight_against(&self, light_pdf: f32) -> f32 {
+        if self.pdf.is_finite() { self.pdf / (self.pdf + light_pdf) } else { 1.0 }
+    }
+}
+
 /// A direction drawn from what lies under sheen and coat.
 struct Drawn {
     direction: Vec3,

@@ -13,6 +13,8 @@
 //! object is touched: D is exactly zero there.
 //! The same draws estimate the light without objects, L_without, as the ratio D / L_without needs it;
 //! where the plain horizon irradiance is known exactly and nearly right it serves as control variate.
+//! Lamps stand on the rays, before what ends them: each is weighed on its own, by its own draws and the
+//! mixture, and is blocked by what is nearer than it.
 
 use glam::Vec3;
 
@@ -110,7 +112,8 @@ impl World<'_> {
         if point.colour == Colouring::Own {
             return None;
         }
-        let exact = self.skylight.radiance(point.surface.geometric)?;
+        let surface = &point.surface;
+        let exact = self.skylight.radiance(surface.position, surface.geometric)?;
         if self.flat {
             return Some(exact);
         }
@@ -262,6 +265,12 @@ impl World<'_> {
             sampler = sampler.descend(1);
             ray = surface.leave(direction);
             let step = self.step(&ray, &sampler);
+            let end = step.first_distance();
+            for lamp in self.lights.lamps_on(surface.position, direction) {
+                if lamp.distance < end {
+                    radiance += throughput * lamp.radiance * scattered.weight_against(lamp.pdf);
+                }
+            }
             if let Some(next) = step.object {
                 hit = next;
                 continue;
@@ -273,13 +282,8 @@ impl World<'_> {
                     self.local_radiance(&z, Want::Both(None), power, sampler.descend(2), depth + 1);
                 radiance += throughput * (pair.without + pair.delta);
             } else {
-                let (l, pdf) = self.lights.evaluate(direction);
-                let weight = if scattered.pdf.is_finite() {
-                    scattered.pdf / (scattered.pdf + pdf)
-                } else {
-                    1.0
-                };
-                radiance += throughput * l * weight;
+                let (l, pdf) = self.lights.evaluate(surface.position, direction);
+                radiance += throughput * l * scattered.weight_against(pdf);
             }
             break;
         }
@@ -289,12 +293,14 @@ impl World<'_> {
     /// Light of one stratum reflected by an object, visible past everything of both kinds.
     fn lit_with(&self, surface: &Surface, stratum: usize, sampler: &Sampler) -> Rgb {
         let u = sampler.pair(purpose_of(stratum));
-        let Some(light) = self.lights.sample(stratum, u) else { return Rgb::ZERO };
+        let Some(light) = self.lights.sample(stratum, surface.position, u) else {
+            return Rgb::ZERO;
+        };
         let (value, pdf) = surface.evaluate(light.direction);
         if value == Rgb::ZERO || light.radiance == Rgb::ZERO {
             return Rgb::ZERO;
         }
-        let ray = surface.leave(light.direction);
+        let ray = surface.leave_for(&light);
         if self.object_occluded(&ray, sampler) || self.local_occluded(&ray, sampler) {
             return Rgb::ZERO;
         }
@@ -302,8 +308,13 @@ impl World<'_> {
     }
 }
 
-fn purpose_of(stratum: usize) -> Purpose {
-    if stratum == 0 { Purpose::Environment } else { Purpose::Sun }
+/// Which numbers a stratum of the lights is drawn by.
+pub(super) fn purpose_of(stratum: usize) -> Purpose {
+    match stratum {
+        0 => Purpose::Environment,
+        1 => Purpose::Sun,
+        _ => Purpose::Lamp,
+    }
 }
 
 fn sample_clamped(
@@ -334,9 +345,9 @@ impl Look<'_> {
     fn toward_light(&self, stratum: usize, sampler: &Sampler, pair: &mut Pair) {
         let world = self.world;
         let u = sampler.pair(purpose_of(stratum));
-        let Some(light) = world.lights.sample(stratum, u) else { return };
-        let may_block =
-            self.want.difference() && !self.by_cells && self.cones.may_meet(light.direction);
+        let Some(light) = world.lights.sample(stratum, self.surface.position, u) else { return };
+        let known = self.by_cells && light.distance.is_infinite();
+        let may_block = self.want.difference() && !known && self.cones.may_meet(light.direction);
         let ends_without_object = self.exact || !self.want.without();
         if !may_block && ends_without_object {
             return;
@@ -345,7 +356,7 @@ impl Look<'_> {
         if value == Rgb::ZERO || light.radiance == Rgb::ZERO {
             return;
         }
-        let ray = self.surface.leave(light.direction);
+        let ray = self.surface.leave_for(&light);
         let blocked = may_block && world.object_occluded(&ray, sampler);
         if !blocked && ends_without_object {
             return;
@@ -402,6 +413,17 @@ impl Look<'_> {
         let next = sampler.descend(1);
         let power = self.power * by_mixture.max_element();
 
+        // Lamps on the way
+        for lamp in world.lights.lamps_on(surface.position, direction) {
+            let before = |hit: Hit| hit.t < lamp.distance;
+            let (blocked, hidden) = (object.is_some_and(before), local.is_some_and(before));
+            let arriving = by_all(lamp.pdf) * lamp.radiance;
+            if blocked && !hidden {
+                pair.delta -= arriving;
+            }
+            self.add_without(pair, arriving, hidden);
+        }
+
         // What the object sends, by roulette: it matters little where the direction matters little
         if let Some(hit) = object {
             let survival = if mixture.is_finite() { (4.0 * power).clamp(0.05, 1.0) } else { 1.0 };
@@ -429,13 +451,13 @@ impl Look<'_> {
                 if self.want.without() {
                     pair.without += by_mixture * behind.without;
                     if self.want.control().is_some() {
-                        let (l, pdf) = world.lights.evaluate(direction);
+                        let (l, pdf) = world.lights.evaluate(surface.position, direction);
                         pair.without -= by_all(pdf) * l;
                     }
                 }
             }
             None if object.is_some() || !self.exact => {
-                let (l, pdf) = world.lights.evaluate(direction);
+                let (l, pdf) = world.lights.evaluate(surface.position, direction);
                 let arriving = by_all(pdf) * l;
                 if object.is_some() && !self.by_cells {
                     pair.delta -= arriving;
@@ -446,7 +468,7 @@ impl Look<'_> {
         }
     }
 
-    /// Adds light of the far field to L_without; with a control variate only what is missing of it.
+    /// Adds light that no surface sends to L_without; with a control variate only what is missing of it.
     fn add_without(&self, pair: &mut Pair, arriving: Rgb, hidden: bool) {
         if !self.want.without() {
             return;

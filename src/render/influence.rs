@@ -11,6 +11,7 @@ use std::f32::consts::{FRAC_1_PI, PI};
 use glam::Vec3;
 
 use super::guides::{Block, Footprint, View};
+use super::sources::Sources;
 use super::world::{PartBall, World, is_flat};
 use crate::conventions::Rgb;
 use crate::scene::Material;
@@ -22,18 +23,6 @@ const RISER_PARTS: usize = 8;
 const SURE_SHARE: f32 = 0.7;
 /// Objects smoother than this may gather light in one direction.
 const SMOOTH: f32 = 0.5;
-
-/// Light from a part of the sphere.
-struct Source {
-    direction: Vec3,
-    sin: f32,
-    cos: f32,
-    radius: f32,
-    /// ∫ L dω
-    flux: Rgb,
-    /// Largest radiance, if the part is wide; a sun is taken whole.
-    brightest: Option<Rgb>,
-}
 
 /// A part of a local mesh and the most that the objects can change there, as radiance.
 struct Riser {
@@ -49,36 +38,37 @@ pub struct Influence<'w> {
     parts: &'w [PartBall],
     /// Around all objects; tighter than the parts' sum where they are few and far.
     whole: PartBall,
-    sources: Vec<Source>,
+    sources: Sources,
     /// Largest mean radiance that objects send on.
     sent: Rgb,
     risers: Vec<Riser>,
     /// Share of the light without objects that is there for sure.
     sure_share: f32,
-    /// Smooth objects under a sun: a flat or hollow mirror can gather more light than `sent`.
+    /// Smooth objects under a sun or lamp: a flat or hollow mirror can gather more light than `sent`.
     pub may_focus: bool,
 }
 
 /// A cap of directions.
-struct Cap {
-    axis: Vec3,
-    half_angle: f32,
+pub(super) struct Cap {
+    pub axis: Vec3,
+    pub half_angle: f32,
 }
 
 impl<'w> Influence<'w> {
     pub fn new(world: &'w World) -> Self {
-        let sources = world.cells.iter().map(|cell| {
-            let brightest = (!cell.is_sun()).then_some(cell.brightest);
-            Source::new(cell.direction, cell.radius, cell.flux, brightest)
-        });
+        let sources = Sources::new(world);
+        let whole = whole(world);
+        // Elsewhere E₀ comes from a grid of noisy nodes.
+        let exact = world.flat && world.lights.proxy().is_none();
+        let compact = !world.lights.suns.is_empty() || sources.has_lamps();
         let mut influence = Self {
             parts: &world.parts,
-            whole: whole(world),
-            sources: sources.collect(),
-            sent: most_sent(world),
+            sent: most_sent(world, &sources, &whole),
+            whole,
+            sources,
             risers: Vec::new(),
-            sure_share: if world.flat { 1.0 } else { SURE_SHARE },
-            may_focus: !world.lights.suns.is_empty() && has_smooth_objects(world),
+            sure_share: if exact { 1.0 } else { SURE_SHARE },
+            may_focus: compact && has_smooth_objects(world),
         };
         if !world.flat {
             influence.risers = influence.find_risers(world);
@@ -119,7 +109,10 @@ impl<'w> Influence<'w> {
                 continue;
             }
             let Some(cap) = cap(&riser.ball, ball) else { return f32::INFINITY };
-            change += riser.change * cap.projected(*normal, *spread);
+            let share = cap.projected(*normal, *spread);
+            if share > 0.0 {
+                change += riser.change * share;
+            }
         }
         if change == Rgb::ZERO {
             return 0.0;
@@ -136,7 +129,7 @@ impl<'w> Influence<'w> {
     }
 
     /// |ΔE|/π over a surface within `ball` whose normals lie within `spread` of `normal`; `None` if
-    /// an object may touch the ball.
+    /// an object or a lamp may touch the ball.
     fn change(&self, ball: &PartBall, normal: Vec3, spread: f32) -> Option<Rgb> {
         let caps: Vec<Cap> =
             self.parts.iter().map(|part| cap(part, ball)).collect::<Option<_>>()?;
@@ -150,7 +143,13 @@ impl<'w> Influence<'w> {
         let whole = cap(&self.whole, ball).map_or(1.0, |cap| cap.projected(normal, spread));
         let share = sum.min(whole);
         let (mut of_suns, mut of_cells, mut brightest) = (Rgb::ZERO, Rgb::ZERO, Rgb::ZERO);
-        for source in &self.sources {
+        // What is nearer than every object hides behind none of them
+        let nearest = self
+            .parts
+            .iter()
+            .map(|part| part.centre.distance(ball.centre) - part.radius - ball.radius);
+        let lamps = self.sources.lamps_behind(ball, nearest.fold(f32::INFINITY, f32::min))?;
+        for source in self.sources.seen_from(ball).chain(lamps) {
             let reached = caps.iter().zip(&edges).any(|(cap, (sin, cos))| {
                 cap.half_angle + source.radius >= PI
                     || source.direction.dot(cap.axis) >= cos * source.cos - sin * source.sin
@@ -179,21 +178,13 @@ impl<'w> Influence<'w> {
             for bounds in Accel::build(&[&local.mesh]).parts(RISER_PARTS) {
                 let ball = PartBall { centre: bounds.centre(), radius: bounds.radius() };
                 // Beside the objects everything may be blocked, and as much be sent.
-                let change = self.change(&ball, Vec3::Y, PI).unwrap_or_else(|| {
-                    let all: Rgb = self.sources.iter().map(|source| source.flux).sum();
-                    self.sent.max(all * FRAC_1_PI)
-                });
+                let change = self
+                    .change(&ball, Vec3::Y, PI)
+                    .unwrap_or_else(|| self.sent.max(self.sources.flux(&ball) * FRAC_1_PI));
                 risers.push(Riser { mesh, flat, ball, change });
             }
         }
         risers
-    }
-}
-
-impl Source {
-    fn new(direction: Vec3, radius: f32, flux: Rgb, brightest: Option<Rgb>) -> Self {
-        let (sin, cos) = radius.sin_cos();
-        Self { direction, sin, cos, radius, flux, brightest }
     }
 }
 
@@ -218,7 +209,7 @@ fn whole(world: &World) -> PartBall {
 }
 
 /// Directions from anywhere in `from` to anywhere in `to`; `None` if the balls touch.
-fn cap(to: &PartBall, from: &PartBall) -> Option<Cap> {
+pub(super) fn cap(to: &PartBall, from: &PartBall) -> Option<Cap> {
     let offset = to.centre - from.centre;
     let (distance, reach) = (offset.length(), to.radius + from.radius);
     // 1e-4: rounding of f32 far from the scene's origin.
@@ -234,19 +225,25 @@ fn largest_cosine(normal: Vec3, direction: Vec3, radius: f32) -> f32 {
 /// Bound of the mean radiance that the objects send on, between all lights and the ground.
 ///
 /// Convex mirrors spread what they get as thinly as matt surfaces do; see [`Influence::may_focus`].
-fn most_sent(world: &World) -> Rgb {
+fn most_sent(world: &World, sources: &Sources, objects: &PartBall) -> Rgb {
     /// Between neighbours of the 26 normals tried, and by the map's coarseness, irradiance rises by
     /// less than this.
     const BETWEEN_NORMALS: f32 = 1.15;
     // Light is moved by a degree at most.
     let map = world.lights.environment.coarse(256, 128);
+    let on = |normal: Vec3| {
+        if world.lights.proxy().is_some() {
+            sources.near_irradiance(objects, normal)
+        } else {
+            map.irradiance(normal.as_dvec3()).as_vec3() + sources.lamp_irradiance(objects)
+        }
+    };
     let mut irradiance = Rgb::ZERO;
     for x in -1..=1 {
         for y in -1..=1 {
             for z in -1..=1 {
                 if let Some(normal) = Vec3::new(x as f32, y as f32, z as f32).try_normalize() {
-                    irradiance = irradiance
-                        .max(map.irradiance(normal.as_dvec3()).as_vec3() * BETWEEN_NORMALS);
+                    irradiance = irradiance.max(on(normal) * BETWEEN_NORMALS);
                 }
             }
         }

@@ -5,6 +5,7 @@ use glam::Vec3;
 use super::albedo::AlbedoMap;
 use super::guides::{Block, Guides};
 use super::influence::Influence;
+use super::near_tests::{room, table_lamp};
 use super::primary::Primary;
 use super::test_scenes::*;
 use super::world::World;
@@ -82,6 +83,27 @@ fn the_bound_holds_under_sky_and_sun_with_and_without_props() {
             println!("{name}, props {props}: {:.0} % of the blocks below 1 %", 100.0 * share);
             assert!(share > 0.4, "{name}, props {props}: {share}");
         }
+    }
+}
+
+#[test]
+fn the_bound_holds_in_a_room_with_a_window_and_a_lamp() {
+    let grey = AlbedoSource::Constant(Rgb::splat(0.5));
+    let lamp = table_lamp();
+    let sky = uniform_sky(0.5).near(Vec3::ZERO, None, vec![lamp]);
+    let cases =
+        [("window", room(None), false), ("room", room(Some(lamp)), true), ("lamp", sky, false)];
+    for (name, lights, prop) in cases {
+        let mut things = vec![local(ground(1.4), grey)];
+        if prop {
+            things.push(local(sphere(Vec3::new(-0.6, 0.1, 0.3), 0.1, 3), grey));
+        }
+        let ball = sphere(Vec3::new(0.0, 0.03, 0.1), 0.03, 3);
+        let scene = scene(vec![ball], matt(0.7), things);
+        let camera = corner_camera(WIDTH, HEIGHT, 2.5);
+        let share = assert_holds(name, &scene, &lights, &camera);
+        println!("{name}: {:.0} % of the blocks below 1 %", 100.0 * share);
+        assert!(share > 0.2, "{name}: {share}");
     }
 }
 

@@ -22,6 +22,7 @@ pub mod refine;
 pub mod sampler;
 pub mod sheen;
 pub mod skylight;
+pub mod sources;
 pub mod surface;
 pub mod tile;
 pub mod two_pass;
@@ -38,6 +39,8 @@ mod closed_form_tests;
 mod exactness_tests;
 #[cfg(test)]
 mod influence_tests;
+#[cfg(test)]
+mod near_tests;
 #[cfg(test)]
 mod test_scenes;
 

@@ -20,6 +20,7 @@ pub enum Purpose {
     Roulette = 6,
     Alpha = 7,
     Cells = 8,
+    Lamp = 9,
 }
 
 /// Which numbers: stratified ones for pictures, independent ones where statistics are tested.

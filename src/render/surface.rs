@@ -7,8 +7,12 @@ use super::coat::Coat;
 use super::fresnel;
 use super::sheen::Sheen;
 use crate::conventions::Rgb;
+use crate::light::LightSample;
 use crate::scene::{self, AlbedoSource, Place, Scene, SurfaceParameters};
 use crate::trace::{Hit, Ray};
+
+/// A lamp's own glass, if it is modelled, lies on its surface and does not block it.
+const BEFORE_A_LAMP: f32 = 1.0 - 1e-4;
 
 /// A point of a surface as seen by one ray.
 #[derive(Clone, Copy, Debug)]
@@ -84,6 +88,11 @@ impl Surface {
     /// A ray that leaves along `direction` and does not meet this triangle again.
     pub fn leave(&self, direction: Vec3) -> Ray {
         Ray::new(self.at.origin_toward(direction), direction)
+    }
+
+    /// The ray on which a light is seen: it ends just before the light.
+    pub fn leave_for(&self, light: &LightSample) -> Ray {
+        Ray { t_max: light.distance * BEFORE_A_LAMP, ..self.leave(light.direction) }
     }
 
     pub fn to_local(&self, d: Vec3) -> Vec3 {

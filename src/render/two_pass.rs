@@ -8,13 +8,13 @@
 
 use super::Context;
 use super::albedo::AlbedoMap;
-use super::coupled::MAX_DEPTH;
+use super::coupled::{MAX_DEPTH, purpose_of};
 use super::film::{Pair, Sample};
 use super::primary::Primary;
 use super::sampler::{Purpose, Sampler, to_f32};
 use super::surface::{Colouring, LocalPoint, Surface};
 use super::waves::Estimator;
-use super::world::World;
+use super::world::{Step, World};
 use crate::conventions::Rgb;
 use crate::trace::{Hit, Ray};
 
@@ -90,6 +90,11 @@ impl TwoPass<'_> {
             sampler = sampler.descend(1);
             let ray = surface.leave(direction);
             let (object, local) = self.first(&ray, with, &sampler);
+            let from = surface.position;
+            let end = Step { object, local }.first_distance();
+            for lamp in world.lights.lamps_on(from, direction).filter(|l| l.distance < end) {
+                radiance += throughput * lamp.radiance * drawn.weight_against(lamp.pdf);
+            }
             if let Some(hit) = object {
                 let point = world.object_point(&ray, &hit);
                 if let Some(per_metre) = point.inside {
@@ -102,10 +107,8 @@ impl TwoPass<'_> {
                 throughput *= self.paint(&point, &sampler);
                 surface = point.surface;
             } else {
-                let (l, pdf) = world.lights.evaluate(direction);
-                let weight =
-                    if drawn.pdf.is_finite() { drawn.pdf / (drawn.pdf + pdf) } else { 1.0 };
-                radiance += throughput * l * weight;
+                let (l, pdf) = world.lights.evaluate(from, direction);
+                radiance += throughput * l * drawn.weight_against(pdf);
                 break;
             }
         }
@@ -123,15 +126,15 @@ impl TwoPass<'_> {
 
     fn lit(&self, surface: &Surface, stratum: usize, with: bool, sampler: &Sampler) -> Rgb {
         let world = &self.world;
-        let purpose = if stratum == 0 { Purpose::Environment } else { Purpose::Sun };
-        let Some(light) = world.lights.sample(stratum, sampler.pair(purpose)) else {
+        let u = sampler.pair(purpose_of(stratum));
+        let Some(light) = world.lights.sample(stratum, surface.position, u) else {
             return Rgb::ZERO;
         };
         let (value, pdf) = surface.evaluate(light.direction);
         if value == Rgb::ZERO {
             return Rgb::ZERO;
         }
-        let ray = surface.leave(light.direction);
+        let ray = surface.leave_for(&light);
         let blocked =
             world.local_occluded(&ray, sampler) || (with && world.object_occluded(&ray, sampler));
         if blocked { Rgb::ZERO } else { value * light.radiance / (light.pdf + pdf) }

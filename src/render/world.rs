@@ -64,6 +64,14 @@ pub struct Step {
     pub local: Option<Hit>,
 }
 
+impl Step {
+    /// Distance to what is met first in the world with objects; +∞ for nothing.
+    pub fn first_distance(&self) -> f32 {
+        let distance = |hit: Option<Hit>| hit.map_or(f32::INFINITY, |hit| hit.t);
+        distance(self.object).min(distance(self.local))
+    }
+}
+
 impl<'a> World<'a> {
     pub fn new(
         scene: &'a Scene,
@@ -90,7 +98,10 @@ impl<'a> World<'a> {
             eye: (camera.pose.position() - scene.origin).as_vec3(),
             albedo: AlbedoMap::unknown(scene),
             skylight: Skylight::new(scene, lights),
-            by_cells: cells.len() <= MOST_CELLS && cells.share_of_small(SMALL_CELL) < MOST_IN_SMALL,
+            // Cells are directions that hold everywhere.
+            by_cells: lights.proxy().is_none()
+                && cells.len() <= MOST_CELLS
+                && cells.share_of_small(SMALL_CELL) < MOST_IN_SMALL,
             cells,
             scene,
             lights,

@@ -17,6 +17,8 @@ use crate::trace::Ray;
 const NORMALS: usize = 48;
 /// Normals this near each other share one (8°): irradiance changes by some percent.
 const SAME_NORMAL: f32 = 0.99;
+/// Places this near each other share the irradiance of near light, m.
+const SAME_PLACE_M: f32 = 0.05;
 /// A plate this many times brighter or darker than the given albedo says is no matter of texture.
 const OFF: f32 = 2.0;
 
@@ -45,7 +47,8 @@ pub fn warnings(view: &View) -> Vec<Warning> {
 impl View<'_> {
     /// Albedo that plate and light ask for, on a grid of pixels that show lit local surfaces.
     fn albedos(&self) -> Vec<(AlbedoSource, Rgb)> {
-        let mut light = Irradiances { lights: self.lights, known: Vec::new() };
+        let mut light =
+            Irradiances { lights: self.lights, known: Vec::new(), known_near: Vec::new() };
         self.shown.grid.iter().filter_map(|seen| self.albedo(seen, &mut light)).collect()
     }
 
@@ -60,7 +63,7 @@ impl View<'_> {
         let suns = &self.lights.suns;
         let in_shadow =
             suns.iter().any(|sun| self.shown.local.occluded(&Ray::new(point, sun.direction)));
-        let irradiance = light.on(normal);
+        let irradiance = light.at(point, normal);
         // A clipped pixel is at least as bright: enough to be too white, too little to compare.
         let unknown = self.clipped[*pixel] && surface.albedo != AlbedoSource::Plate;
         if in_shadow || unknown || irradiance.min_element() <= 0.0 {
@@ -70,13 +73,30 @@ impl View<'_> {
     }
 }
 
-/// Irradiance by normal; surfaces of a mesh share a few.
+/// Irradiance by normal; surfaces of a mesh share a few. In near light, by place as well.
 struct Irradiances<'a> {
     lights: &'a Lights,
     known: Vec<(Vec3, Rgb)>,
+    /// Place, normal and irradiance.
+    known_near: Vec<(Vec3, Vec3, Rgb)>,
 }
 
 impl Irradiances<'_> {
+    fn at(&mut self, place: Vec3, normal: Vec3) -> Rgb {
+        if !self.lights.is_near() {
+            return self.on(normal);
+        }
+        let like = |known: &&(Vec3, Vec3, Rgb)| {
+            known.0.distance(place) < SAME_PLACE_M && known.1.dot(normal) > SAME_NORMAL
+        };
+        if let Some(known) = self.known_near.iter().find(like) {
+            return known.2;
+        }
+        let irradiance = self.lights.irradiance_at(place, normal);
+        self.known_near.push((place, normal, irradiance));
+        irradiance
+    }
+
     fn on(&mut self, normal: Vec3) -> Rgb {
         let nearest = self.known.iter().max_by(|a, b| a.0.dot(normal).total_cmp(&b.0.dot(normal)));
         if let Some(&(near, irradiance)) = nearest
