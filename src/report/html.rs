@@ -234,6 +234,7 @@ fn probe(report: &Report) -> Markup {
             ("σ of directions", p.sigma_direction_deg.map_or(String::new(), |d| format!("{}°", significant(d)))),
             ("seen", format!("{} of the sphere", per_cent(p.seen_share))),
             ("irradiance on level ground", format!("{r:.3}, {g:.3}, {b:.3} (plate scale)")),
+            ("surroundings", report.lights.surroundings.clone()),
         ]))
         @if !report.lights.suns.is_empty() {
             table {
@@ -245,6 +246,20 @@ fn probe(report: &Report) -> Markup {
                         td.n { (format!("{:.2}°", sun.elevation_deg)) }
                         td.n { (format!("{:.2}°", sun.half_angle_deg)) }
                         td.n { (sun.irradiance.map(|e| format!("{e:.3}")).join(", ")) }
+                    }
+                }
+            }
+        }
+        @if !report.lights.lamps.is_empty() {
+            table {
+                tr { th { "lamp" } th { "at" } th { "radius" } th { "radiance" } th { "treated" } }
+                @for (i, lamp) in report.lights.lamps.iter().enumerate() {
+                    tr {
+                        td { (i + 1) }
+                        td.n { (lamp.at.map(|c| format!("{c:.2}")).join(", ")) }
+                        td.n { (format!("{:.3} m", lamp.radius)) }
+                        td.n { (lamp.radiance.map(significant).join(", ")) }
+                        td { (lamp.treated) }
                     }
                 }
             }

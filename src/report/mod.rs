@@ -216,6 +216,23 @@ pub struct LightsReport {
     /// On a horizontal surface at the probe, in the plate's linear scale.
     pub irradiance_up: [f64; 3],
     pub suns: Vec<SunReport>,
+    /// How `[surroundings]` are treated, and why; empty without.
+    pub surroundings: String,
+    pub lamps: Vec<LampReport>,
+}
+
+/// A lamp of the shot file.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct LampReport {
+    /// Its centre, world, metres.
+    pub at: [f64; 3],
+    /// Metres.
+    pub radius: f64,
+    /// Mean over its disc above its surroundings, in the plate's linear scale; 0 if it stays in the
+    /// panorama.
+    pub radiance: [f64; 3],
+    /// What was done with it, and why.
+    pub treated: String,
 }
 
 /// A small bright light that is sampled on its own.

@@ -31,6 +31,12 @@ pub fn summary(report: &Report) -> String {
             sun.azimuth_deg, sun.elevation_deg, sun.irradiance[1]
         ));
     }
+    if !report.lights.surroundings.is_empty() {
+        lines.push(format!("walls    {}", report.lights.surroundings));
+    }
+    for lamp in &report.lights.lamps {
+        lines.push(format!("lamp     {}", lamp.treated));
+    }
     let render = &report.render;
     lines.push(format!(
         "render   error {}{} in {:.1} s{}, {} samples{}",

@@ -40,15 +40,7 @@ pub fn budget(prepared: &Prepared, render: &RenderReport) -> Budget {
     if let Some(term) = accepted_clipping(&prepared.probe_report.clipped) {
         terms.push(term);
     }
-    if let Some(error) = prepared.near_field_error {
-        terms.push(Term {
-            cause: "near light treated as distant".to_owned(),
-            sigma: Some(100.0 * error),
-            unit: "% of the irradiance",
-            brightness: Some(error),
-            note: "bound from the distances in [surroundings] and [[lamp]]".to_owned(),
-        });
-    }
+    terms.extend(near_light(prepared));
     terms.push(Term {
         cause: "Monte-Carlo noise".to_owned(),
         sigma: Some(100.0 * render.error),
@@ -57,6 +49,24 @@ pub fn budget(prepared: &Prepared, render: &RenderReport) -> Budget {
         note: "measured over the influence region; lower render.error".to_owned(),
     });
     Budget::new(terms)
+}
+
+fn near_light(prepared: &Prepared) -> Vec<Term> {
+    let distant = prepared.light.distant_error.map(|error| Term {
+        cause: "near light treated as distant".to_owned(),
+        sigma: Some(100.0 * error),
+        unit: "% of the irradiance",
+        brightness: Some(error),
+        note: "bound from the distances in [surroundings] and [[lamp]]".to_owned(),
+    });
+    let walls = prepared.light.lights.proxy().map(|_| Term {
+        cause: "things that stand before the walls".to_owned(),
+        sigma: None,
+        unit: "%",
+        brightness: None,
+        note: "light of things that are not modelled is put on the wall behind them".to_owned(),
+    });
+    distant.into_iter().chain(walls).collect()
 }
 
 fn slip(prepared: &Prepared) -> Term {

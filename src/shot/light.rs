@@ -5,6 +5,7 @@ use std::f64::consts::PI;
 use glam::DVec3;
 
 use super::exposures::Scale;
+use super::near_field::{NearField, Room};
 use super::place;
 use super::plan::Plan;
 use super::probe_keys::{
@@ -43,6 +44,9 @@ pub struct Light {
     pub sigma_sun: Option<f64>,
     /// True if a ball's reflectance was divided out.
     pub has_reflectance: bool,
+    /// Bound of the relative error from treating near light as distant, if the shot tells of any that
+    /// still is.
+    pub distant_error: Option<f64>,
     pub warnings: Vec<Warning>,
 }
 
@@ -247,9 +251,14 @@ pub fn light(
     report.plate_exposure_source = source.clone();
     report.seen_share = seen_share(&panorama);
 
-    let suns = judge_clipped(&mut panorama, around, &mut report, &mut warnings)?;
+    let mut suns = judge_clipped(&mut panorama, around, &mut report, &mut warnings)?;
+    let room = Room { plan, scene: around.scene };
+    let near = NearField::find(&room, &mut panorama, &mut suns);
+    warnings.extend(near.warnings);
     let options = LightOptions {
         suns: match plan.shot.probe.suns {
+            // What hangs on a near wall is no sun.
+            Suns::Auto if near.proxy.is_some() => SunSplit::Never,
             Suns::Auto => SunSplit::Auto,
             Suns::Never => SunSplit::Never,
             Suns::Always => SunSplit::Always,
@@ -260,6 +269,8 @@ pub fn light(
         .map_err(|error| format!("{}: probe: {error}", plan.shot.path.display()))?;
     let sigma_sun = suns.iter().map(|(_, sigma)| *sigma).reduce(f64::max);
     let lights = found.with_discs(suns.into_iter().map(|(disc, _)| disc));
+    let place = around.scene.from_world(panorama.place);
+    let lights = lights.near(place, near.proxy, near.lamps);
     warnings.extend(repaired_warning(&lights, &panorama));
 
     if lights.is_dark() {
@@ -272,10 +283,21 @@ pub fn light(
     let lights_report = LightsReport {
         irradiance_up: lights.irradiance(glam::Vec3::Y).as_dvec3().to_array(),
         suns: lights.suns.iter().map(sun_report).collect(),
+        surroundings: near.surroundings,
+        lamps: near.lamp_reports,
     };
     let has_reflectance = ball.is_some();
-    let light =
-        Light { panorama, lights, ball, sigma_irradiance, sigma_sun, has_reflectance, warnings };
+    let distant_error = near.distant_error;
+    let light = Light {
+        panorama,
+        lights,
+        ball,
+        sigma_irradiance,
+        sigma_sun,
+        has_reflectance,
+        distant_error,
+        warnings,
+    };
     Ok((light, report, lights_report))
 }
 

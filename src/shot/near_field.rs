@@ -1,118 +1,292 @@
-//! Does the light come from near by? Then treating it as distant is wrong, and by how much.
+//! Light from near by: which walls and lamps of the shot file are near enough to matter, and these.
 //!
-//! Walls and lamps of the shot file, judged by [`distant_error`].
+//! Methods-render R10.2: treating light at distance d as distant is wrong by 2.7 · t/d on something t
+//! from the probe. Above 5 % it is put in its place; below, it stays in the panorama and a note says
+//! how little is lost. What cannot be put in its place stays distant, and a warning says why.
 
-use glam::DVec3;
+use glam::{DVec3, Vec3};
 
-use super::probe_keys::{Lamp, Surroundings};
-use crate::light::near_field::{TOLERATED_ERROR, distant_error};
-use crate::report::Warning;
+use super::place;
+use super::plan::Plan;
+use super::probe_keys::{self, Surroundings};
+use crate::light::near_field::{distant_error, is_near};
+use crate::light::{Disc, Lamp, NoLamp, Proxy, take_out_lamp};
+use crate::probe::Panorama;
+use crate::report::{LampReport, Warning};
+use crate::scene::{Mesh, Model, Scene};
+use crate::trace::{Accel, Ray};
 
-/// Warnings about surroundings and lamps that the renderer treats as distant.
-///
-/// `reach` is the largest distance from the probe to a point of the objects, metres.
-pub fn warnings(
-    surroundings: Option<&Surroundings>,
-    lamps: &[Lamp],
-    probe: DVec3,
-    reach: f64,
-) -> Vec<Warning> {
-    let mut found = Vec::new();
-    match surroundings {
-        Some(Surroundings::Box { min, max }) => {
-            let walls = wall_distance(probe, (*min).into(), (*max).into());
-            found.push(warning("surroundings.box", "the nearest wall", walls, reach));
+/// Walls and lamps that are put in their place, and what is to be said of all of them.
+#[derive(Default)]
+pub struct NearField {
+    pub proxy: Option<Proxy>,
+    pub lamps: Vec<Lamp>,
+    pub warnings: Vec<Warning>,
+    /// How `[surroundings]` are treated, and why; empty without.
+    pub surroundings: String,
+    pub lamp_reports: Vec<LampReport>,
+    /// Largest relative error of irradiance from what is still treated as distant; `None` if the shot
+    /// tells of nothing that is.
+    pub distant_error: Option<f64>,
+}
+
+/// A lamp seen this far beside its place, relative to the angle of its radius, was measured badly.
+const BESIDE: f64 = 0.5;
+/// More of the sphere than this behind the walls' holes is worth a word.
+const OPEN: f64 = 0.05;
+
+/// The shot as the judgement of near light sees it.
+pub struct Room<'a> {
+    pub plan: &'a Plan,
+    pub scene: &'a Scene,
+}
+
+impl NearField {
+    /// Judges walls and lamps and takes near lamps out of the panorama. Recovered `suns` that were
+    /// lamps go with them.
+    pub fn find(room: &Room, panorama: &mut Panorama, suns: &mut Vec<(Disc, f64)>) -> Self {
+        let mut near = Self::default();
+        let reach = reach(room.plan, panorama.place);
+        near.walls(room, panorama.place, reach);
+        let meshes: Vec<&Mesh> = room.scene.local.iter().map(|local| &local.mesh).collect();
+        let local = Accel::build(&meshes);
+        for (k, keys) in room.plan.shot.lamps.iter().enumerate() {
+            near.lamp(k, keys, room.scene, &local, panorama, suns, reach);
         }
-        Some(Surroundings::Mesh(_)) => found.push(Warning::new(
-            "surroundings.mesh",
-            "is read but has no effect yet: light is treated as infinitely far away",
-            "unknown; about 2.7 × distance from probe to object ÷ distance to the light",
-        )),
-        None => {}
+        near
     }
-    for (i, lamp) in lamps.iter().enumerate() {
-        let distance = probe.distance(lamp.at.into()) - lamp.radius;
-        found.push(warning(&format!("lamp[{i}]"), "the lamp", distance, reach));
-    }
-    found
-}
 
-/// The largest relative error of irradiance that the warnings tell of; `None` without any.
-pub fn largest_error(
-    surroundings: Option<&Surroundings>,
-    lamps: &[Lamp],
-    probe: DVec3,
-    reach: f64,
-) -> Option<f64> {
-    let walls = match surroundings {
-        Some(Surroundings::Box { min, max }) => {
-            Some(wall_distance(probe, (*min).into(), (*max).into()))
+    fn walls(&mut self, room: &Room, probe: DVec3, reach: f64) {
+        let Some(keys) = &room.plan.shot.surroundings else { return };
+        let centre = room.scene.from_world(probe);
+        let (key, proxy, remedy) = match keys {
+            Surroundings::Box { min, max } => {
+                let corner = |p: [f64; 3]| room.scene.from_world(p.into());
+                let proxy = Proxy::of_box(centre, corner(*min), corner(*max));
+                ("surroundings.box", proxy, "the probe stands outside the box")
+            }
+            Surroundings::Mesh(_) => {
+                let meshes = room.plan.surroundings.as_ref().map(|m| meshes(m, room.scene));
+                let proxy = meshes.and_then(|meshes| Proxy::of_mesh(centre, meshes));
+                ("surroundings.mesh", proxy, "the mesh has no surface")
+            }
+        };
+        let Some((proxy, distance)) = proxy.and_then(|p| p.nearest_wall().map(|d| (p, d))) else {
+            self.stays(1.0);
+            self.surroundings = "treated as infinitely far away".to_owned();
+            self.warnings.push(Warning::new(
+                key,
+                format!(
+                    "{remedy}, or no wall of it stands beside or above the probe, so that nobody \
+                     knows where the light comes from; correct it, or the probe's place"
+                ),
+                "light on the objects off by 100 % or more",
+            ));
+            return;
+        };
+        let distance = f64::from(distance);
+        let error = distant_error(reach, distance);
+        let facts = format!(
+            "the nearest wall is {distance:.2} m from the probe and the objects reach {reach:.2} m from it"
+        );
+        if !is_near(reach, distance) {
+            self.stays(error);
+            self.surroundings = format!("far enough to be treated as infinitely far away: {facts}");
+            self.warnings.push(far_enough(key, &facts, error));
+            return;
         }
-        _ => None,
-    };
-    let lamps = lamps.iter().map(|lamp| probe.distance(lamp.at.into()) - lamp.radius);
-    let nearest = lamps.chain(walls).reduce(f64::min)?;
-    Some(error(nearest, reach))
+        self.surroundings = format!(
+            "light lies on the walls: {facts}; as distant light it would be off by {}",
+            per_cent(error)
+        );
+        self.warnings.extend(outside(key, &proxy, room));
+        self.warnings.extend(open(key, &proxy));
+        self.proxy = Some(proxy);
+    }
+
+    #[allow(clippy::too_many_arguments)]
+    fn lamp(
+        &mut self,
+        k: usize,
+        keys: &probe_keys::Lamp,
+        scene: &Scene,
+        local: &Accel,
+        panorama: &mut Panorama,
+        suns: &mut Vec<(Disc, f64)>,
+        reach: f64,
+    ) {
+        let (key, at) = (format!("lamp[{k}]"), DVec3::from(keys.at));
+        let distance = panorama.place.distance(at) - keys.radius;
+        let error = distant_error(reach, distance);
+        let mut report = LampReport { at: keys.at, radius: keys.radius, ..LampReport::default() };
+        let facts = format!(
+            "the lamp is {distance:.2} m from the probe and the objects reach {reach:.2} m from it"
+        );
+        if !is_near(reach, distance) {
+            self.stays(error);
+            report.treated = format!("far enough to be treated as infinitely far away: {facts}");
+            self.lamp_reports.push(report);
+            self.warnings.push(far_enough(&key, &facts, error));
+            return;
+        }
+        let hidden = hides(local, scene, panorama.place, at, keys.radius);
+        let taken =
+            if hidden { Err(NoLamp::Unseen) } else { take_out_lamp(panorama, at, keys.radius) };
+        let taken = match taken {
+            Ok(taken) => taken,
+            Err(why) => {
+                self.stays(error);
+                report.treated = "not found in the panorama".to_owned();
+                self.lamp_reports.push(report);
+                self.warnings.push(not_found(&key, why, hidden, error));
+                return;
+            }
+        };
+        let lamp = Lamp {
+            centre: scene.from_world(at),
+            radius: keys.radius as f32,
+            radiance: taken.radiance,
+        };
+        let own = (keys.radius / panorama.place.distance(at)).asin();
+        if taken.off_rad > BESIDE * own {
+            self.warnings.push(beside(&key, taken.off_rad, panorama.place.distance(at)));
+        }
+        let lamp = with_suns(lamp, scene.from_world(panorama.place), suns);
+        report.treated = format!("put in its place: {facts}");
+        report.radiance = lamp.radiance.as_dvec3().to_array();
+        self.lamp_reports.push(report);
+        self.lamps.push(lamp);
+    }
+
+    /// Something is left as distant light, with this error.
+    fn stays(&mut self, error: f64) {
+        let error = error.min(1.0);
+        self.distant_error = Some(self.distant_error.map_or(error, |other| other.max(error)));
+    }
 }
 
-fn error(distance: f64, reach: f64) -> f64 {
-    distant_error(reach, distance).min(1.0)
+/// A lamp with the light of the recovered suns that stood where it stands.
+fn with_suns(mut lamp: Lamp, place: Vec3, suns: &mut Vec<(Disc, f64)>) -> Lamp {
+    let to = (lamp.centre - place).normalize_or_zero();
+    let own = (lamp.radius / place.distance(lamp.centre)).min(1.0).asin();
+    suns.retain(|(sun, _)| {
+        let is_it = sun.direction.angle_between(to) < own + sun.half_angle;
+        if is_it {
+            lamp.radiance += sun.radiance * (sun.solid_angle() / lamp.solid_angle(place));
+        }
+        !is_it
+    });
+    lamp
 }
 
-fn warning(key: &str, what: &str, distance: f64, reach: f64) -> Warning {
-    let error = error(distance, reach);
-    let verdict = if error > TOLERATED_ERROR {
-        "the light changes across the objects, but it is treated as infinitely far away"
-    } else {
-        "far enough: treating its light as infinitely far away is good to the error given"
-    };
-    let size = if error < 1.0 {
-        format!("light on the objects off by up to {:.0} %", 100.0 * error)
-    } else {
-        "light on the objects off by 100 % or more".to_owned()
-    };
+fn far_enough(key: &str, facts: &str, error: f64) -> Warning {
     let said = Warning::new(
         key,
-        format!(
-            "{what} is {distance:.2} m from the probe and the objects reach {reach:.2} m from it; \
-             {verdict}; near light is read but has no effect yet"
-        ),
-        size,
+        format!("{facts}: far enough, its light is treated as infinitely far away"),
+        format!("light on the objects off by up to {}", per_cent(error)),
     );
-    Warning { asks: error > TOLERATED_ERROR, ..said }
+    Warning { asks: false, ..said }
 }
 
-/// Distance from a point to the nearest side wall or ceiling of a box; the floor is the support's
-/// business. 0 outside the box.
-fn wall_distance(point: DVec3, min: DVec3, max: DVec3) -> f64 {
-    let low = point - min;
-    let high = max - point;
-    [low.x, low.z, high.x, high.y, high.z].into_iter().fold(f64::INFINITY, f64::min).max(0.0)
+fn not_found(key: &str, why: NoLamp, hidden: bool, error: f64) -> Warning {
+    let cause = match why {
+        NoLamp::Inside => {
+            "the probe stands inside this lamp; correct its place or radius".to_owned()
+        }
+        NoLamp::Unseen if hidden => "a modelled thing stands between the probe and this lamp, so that \
+             the panorama does not show it; correct its place, or photograph the probe from where the \
+             lamp is seen"
+            .to_owned(),
+        NoLamp::Unseen => "the probe saw less than half of where this lamp should be; correct its \
+             place, or photograph the probe from another side"
+            .to_owned(),
+        NoLamp::NotHot { excess, surroundings } => format!(
+            "the panorama shows nothing brighter than its surroundings where this lamp should be \
+             ({excess:.3} above {surroundings:.3}); correct its place (overlay_panorama.png shows \
+             where lights are), or take it out if it is off"
+        ),
+    };
+    let rest = "its light, wherever it is in the panorama, is treated as infinitely far away";
+    Warning::new(
+        key,
+        format!("{cause}; {rest}"),
+        format!("its light on the objects off by {}", per_cent(error)),
+    )
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
+fn beside(key: &str, off_rad: f64, distance: f64) -> Warning {
+    Warning::new(
+        key,
+        format!(
+            "the panorama shows this lamp {:.1}° beside where it should be; measure its place again, \
+             or the probe's",
+            off_rad.to_degrees()
+        ),
+        format!(
+            "{:.3} m at its distance of {distance:.2} m; shadows turn by as much",
+            off_rad * distance
+        ),
+    )
+}
 
-    #[test]
-    fn a_near_lamp_is_a_large_error_and_a_far_wall_a_small_one() {
-        let room = Surroundings::Box { min: [-50.0, 0.0, -50.0], max: [50.0, 60.0, 50.0] };
-        let lamp = Lamp { at: [0.0, 1.0, 0.0], radius: 0.1 };
-        let found = warnings(Some(&room), &[lamp], DVec3::ZERO, 0.2);
-        assert!(found[0].size.contains("1 %") && found[0].message.contains("far enough"));
-        // 2.7 · 0.2 / 0.9
-        assert!(found[1].size.contains("60 %"), "{}", found[1]);
-    }
+/// Objects or support points beyond the box see distant light.
+fn outside(key: &str, proxy: &Proxy, room: &Room) -> Option<Warning> {
+    let [min, max] = place::object_box(room.plan)?;
+    let corner = |k: usize| {
+        let pick = |axis: usize| if k >> axis & 1 == 0 { min[axis] } else { max[axis] };
+        room.scene.from_world(DVec3::new(pick(0), pick(1), pick(2)))
+    };
+    let outside = (0..8).filter(|&k| !proxy.holds(corner(k))).count();
+    (outside > 0).then(|| {
+        Warning::new(
+            key,
+            "part of the objects stands outside the box: there, light is treated as infinitely far \
+             away; make the box as large as the room",
+            format!("{outside} of the 8 corners of the objects' box"),
+        )
+    })
+}
 
-    #[test]
-    fn a_probe_outside_its_box_is_not_divided_by() {
-        let room = Surroundings::Box { min: [1.0, 0.0, 1.0], max: [2.0, 1.0, 2.0] };
-        let found = warnings(Some(&room), &[], DVec3::ZERO, 0.2);
-        assert!(found[0].size.contains("100 % or more"));
-    }
+/// Rays that miss the walls see distant light.
+fn open(key: &str, proxy: &Proxy) -> Option<Warning> {
+    let share = proxy.open_share();
+    (share > OPEN).then(|| {
+        let said = Warning::new(
+            key,
+            "the walls are open: what the probe sees through the holes is treated as infinitely far \
+             away, as a landscape behind a window is; close them if it is near",
+            format!("{:.0} % of the upper half sphere", 100.0 * share),
+        );
+        Warning { asks: false, ..said }
+    })
+}
 
-    #[test]
-    fn nothing_said_nothing_warned() {
-        assert!(warnings(None, &[], DVec3::ZERO, 1.0).is_empty());
-    }
+/// True if a modelled thing stands between the probe and a lamp.
+fn hides(local: &Accel, scene: &Scene, probe: DVec3, at: DVec3, radius: f64) -> bool {
+    let to = at - probe;
+    let t_max = (to.length() - radius) as f32;
+    let direction = to.normalize_or(DVec3::Y).as_vec3();
+    local.occluded(&Ray { t_max, ..Ray::new(scene.from_world(probe), direction) })
+}
+
+/// A model's triangles in the scene's frame.
+fn meshes(model: &Model, scene: &Scene) -> Vec<Mesh> {
+    let placed = model.meshes.iter().map(|mesh| Mesh {
+        name: mesh.name.clone(),
+        positions: mesh.positions.iter().map(|&p| scene.from_world(p)).collect(),
+        triangles: mesh.triangles.clone(),
+        ..Mesh::default()
+    });
+    placed.collect()
+}
+
+/// Largest distance from the probe to a corner of the objects' box, metres; 0 without objects.
+fn reach(plan: &Plan, probe: DVec3) -> f64 {
+    let Some([min, max]) = place::object_box(plan) else { return 0.0 };
+    let far = (probe - min).abs().max((max - probe).abs());
+    far.length()
+}
+
+fn per_cent(error: f64) -> String {
+    if error < 1.0 { format!("{:.0} %", 100.0 * error) } else { "100 % or more".to_owned() }
 }

@@ -29,6 +29,8 @@ pub struct Plan {
     /// Photographs of the ball or fisheye.
     pub probe_photos: Vec<Photo>,
     pub exposures: Exposures,
+    /// The mesh of `[surroundings]`.
+    pub surroundings: Option<Model>,
     pub support: Option<Model>,
     pub local: Vec<Model>,
     pub objects: Vec<Model>,
@@ -205,9 +207,12 @@ impl Plan {
         if let (PlateColour::Bracket, Some(plate)) = (&shot.plate.colour, &plate) {
             check_one_camera(plate, &probe_photos, &mut find);
         }
-        if let Some(Surroundings::Mesh(path)) = &shot.surroundings {
-            find.model("surroundings.mesh", path, &DAffine3::IDENTITY);
-        }
+        let surroundings = match &shot.surroundings {
+            Some(Surroundings::Mesh(path)) => {
+                find.model("surroundings.mesh", path, &DAffine3::IDENTITY)
+            }
+            Some(Surroundings::Box { .. }) | None => None,
+        };
 
         let support = match &shot.support.shape {
             SupportShape::Mesh(path) => find.model("support.mesh", path, &DAffine3::IDENTITY),
@@ -235,6 +240,7 @@ impl Plan {
                     scale,
                     probe_photos,
                     exposures,
+                    surroundings,
                     support,
                     local,
                     objects,

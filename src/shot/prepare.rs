@@ -9,7 +9,6 @@ use super::calibrate::{FoundLens, find_lens};
 use super::camera_keys::{Board, CameraKeys, CameraSource};
 use super::light::{self, Light, Surroundings};
 use super::locate::{FoundPose, LocateError, Seen, find_pose};
-use super::near_field;
 use super::place;
 use super::placing;
 use super::plan::Plan;
@@ -42,8 +41,6 @@ pub struct Prepared {
     /// What the pose was found from, and the camera that saw it.
     pub seen: Vec<Seen>,
     pub seen_by: Camera,
-    /// Bound of the relative error from treating near light as distant, if the shot tells of any.
-    pub near_field_error: Option<f64>,
 }
 
 /// Calibrates, locates, unwraps and builds the scene.
@@ -125,16 +122,6 @@ pub fn prepare(
         shown: &shown,
         lights: &light.lights,
     }));
-    let reach = reach(plan, light.panorama.place);
-    let near =
-        near_field::warnings(shot.surroundings.as_ref(), &shot.lamps, light.panorama.place, reach);
-    let near_field_error = near_field::largest_error(
-        shot.surroundings.as_ref(),
-        &shot.lamps,
-        light.panorama.place,
-        reach,
-    );
-    warnings.extend(near);
     let slip_px = slip_px(plan, &found_pose, &camera);
     let pose_report = PoseReport { slip_px, ..found_pose.report };
     Ok(Prepared {
@@ -155,7 +142,6 @@ pub fn prepare(
             lens: found_lens.lens,
             pose: found_pose.pose,
         },
-        near_field_error,
     })
 }
 
@@ -285,13 +271,6 @@ fn lost_triangles_warning(scene: &Scene) -> Option<Warning> {
             format!("{lost} of {all} triangles"),
         )
     })
-}
-
-/// Largest distance from the probe to a corner of the objects' box, metres; 0 without objects.
-fn reach(plan: &Plan, probe: DVec3) -> f64 {
-    let Some([min, max]) = place::object_box(plan) else { return 0.0 };
-    let far = (probe - min).abs().max((max - probe).abs());
-    far.length()
 }
 
 #[cfg(test)]
