@@ -290,3 +290,64 @@ fn reach(plan: &Plan, probe: DVec3) -> f64 {
 fn per_cent(error: f64) -> String {
     if error < 1.0 { format!("{:.0} %", 100.0 * error) } else { "100 % or more".to_owned() }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::conventions::Rgb;
+    use crate::scene::{AlbedoSource, LocalMesh, LocalRole};
+
+    /// A level table of 2 m at y = 0.
+    fn table() -> Scene {
+        let corners = [(-1.0, -1.0), (-1.0, 1.0), (1.0, 1.0), (1.0, -1.0)];
+        let mesh = Mesh {
+            positions: corners.map(|(x, z)| Vec3::new(x, 0.0, z)).to_vec(),
+            triangles: vec![[0, 1, 2], [0, 2, 3]],
+            ..Mesh::default()
+        };
+        let albedo = AlbedoSource::Plate;
+        Scene {
+            local: vec![LocalMesh { mesh, role: LocalRole::Support, albedo }],
+            ..Scene::default()
+        }
+    }
+
+    #[test]
+    fn a_lamp_under_the_table_is_hidden_and_one_above_it_is_not() {
+        let scene = table();
+        let local = Accel::build(&[&scene.local[0].mesh]);
+        let probe = DVec3::Y * 0.06;
+        assert!(hides(&local, &scene, probe, DVec3::new(0.5, -0.4, 0.0), 0.05));
+        assert!(!hides(&local, &scene, probe, DVec3::new(0.5, 0.4, 0.0), 0.05));
+        let said = not_found("lamp[0]", NoLamp::Unseen, true, 0.6);
+        assert!(said.asks && said.message.contains("correct its place"), "{said}");
+        assert!(said.size.contains("60 %"), "{said}");
+    }
+
+    #[test]
+    fn a_recovered_sun_where_a_lamp_stands_is_the_lamp_s_light() {
+        let lamp = Lamp { centre: Vec3::X, radius: 0.05, radiance: Rgb::ONE };
+        let disc = |direction| Disc::from_irradiance(direction, 0.02, Rgb::splat(0.3));
+        let mut suns = vec![(disc(Vec3::X), 0.1), (disc(Vec3::Y), 0.2)];
+        let lit = with_suns(lamp, Vec3::ZERO, &mut suns);
+        assert_eq!(suns.len(), 1, "the other one is no lamp");
+        // Its irradiance on a plane that faces it is what both gave.
+        let (before, after) = (
+            lamp.irradiance(Vec3::ZERO, Vec3::X) + Rgb::splat(0.3),
+            lit.irradiance(Vec3::ZERO, Vec3::X),
+        );
+        assert!((after / before - 1.0).abs().max_element() < 2e-3, "{before} {after}");
+    }
+
+    #[test]
+    fn what_is_far_enough_is_a_note_and_what_is_not_found_a_warning() {
+        let note = far_enough("surroundings.box", "the nearest wall is 50.00 m away", 0.01);
+        assert!(!note.asks && note.size.contains("1 %"), "{note}");
+        let why = NoLamp::NotHot { excess: 0.001, surroundings: 0.4 };
+        let cold = not_found("lamp[1]", why, false, 2.0);
+        assert!(cold.asks && cold.message.contains("take it out if it is off"), "{cold}");
+        assert!(cold.size.contains("100 % or more"), "{cold}");
+        let off = beside("lamp[0]", 0.02, 0.75);
+        assert!(off.message.contains("1.1°") && off.size.contains("0.015 m"), "{off}");
+    }
+}
