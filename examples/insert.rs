@@ -16,7 +16,7 @@ use platelight::composite::{Mode, compose};
 use platelight::light::{LightOptions, Lights};
 use platelight::photo::{self, ReadOptions, png};
 use platelight::probe::Panorama;
-use platelight::render::{Context, Job, Method, Numbers, Stop, integrator};
+use platelight::render::{Context, Job, Method, Numbers, Stop, Technique, integrator};
 use platelight::scene::{self, AlbedoSource, Scene};
 
 #[derive(Parser)]
@@ -53,6 +53,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         numbers: Numbers::default(),
         least_step: plate.least_step(),
         denoise: false,
+        technique: Technique::default(),
     };
     let mut integrator = integrator(Method::default(), job)?;
     let context = Context::new(0);

@@ -47,6 +47,7 @@ enum Source {
     Map {
         column: usize,
         row: usize,
+        size: [usize; 2],
         table: GridTable,
     },
 }
@@ -256,6 +257,19 @@ impl Cells {
         self.cells.iter()
     }
 
+    /// Where the middle of a cell's light is: unit, world axes.
+    pub fn centroid(&self, cell: &Cell) -> Vec3 {
+        let Source::Map { column, row, size, .. } = &cell.source else { return cell.direction };
+        let mut sum = glam::DVec3::ZERO;
+        for y in *row..row + size[1] {
+            for x in *column..column + size[0] {
+                let (direction, _) = self.units.patch([x, x + 1], [y, y + 1]).bounding_cap();
+                sum += direction * self.units.power(x, y);
+            }
+        }
+        (self.world_from_map * sum.as_vec3()).try_normalize().unwrap_or(cell.direction)
+    }
+
     /// Share of the power that small cells hold: suns and lamps.
     pub fn share_of_small(&self, radius: f32) -> f32 {
         let sum = |small: bool| -> f32 {
@@ -294,7 +308,7 @@ impl Cells {
                 let direction = sun.sample(u.x as f32, u.y as f32);
                 (direction, sun.radiance * sun.solid_angle())
             }
-            Source::Map { column, row, table } => {
+            Source::Map { column, row, table, .. } => {
                 let drawn = table.draw(u);
                 let (column, row) = (column + drawn.column, row + drawn.row);
                 let longitude =
@@ -404,6 +418,7 @@ impl Cells {
             source: Source::Map {
                 column: x.start,
                 row: y.start,
+                size: [x.len(), y.len()],
                 table: GridTable::new(x.len(), &weights)?,
             },
         })

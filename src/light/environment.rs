@@ -85,6 +85,20 @@ impl Environment {
         }
     }
 
+    /// The same radiance, drawn in proportion to all of it.
+    pub(super) fn with_whole_table(mut self) -> Self {
+        self.table = fill_densities(&mut self.texels, self.width, self.height, false);
+        self
+    }
+
+    /// The same radiance, never drawn.
+    pub(super) fn without_table(mut self) -> Self {
+        for texel in &mut self.texels {
+            texel.w = 0.0;
+        }
+        Self { table: None, ..self }
+    }
+
     /// Width and height of the map, texels.
     pub(super) fn size(&self) -> (usize, usize) {
         (self.width, self.height)

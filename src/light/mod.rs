@@ -7,6 +7,7 @@
 
 pub mod cells;
 pub mod clipped;
+pub mod discrete;
 pub mod environment;
 pub mod lamp;
 pub mod near_field;
@@ -19,6 +20,7 @@ mod take_out;
 mod walls;
 
 pub use cells::Cells;
+pub use discrete::LightSet;
 pub use environment::Environment;
 pub use lamp::{Lamp, LampHit};
 pub use proxy::Proxy;
@@ -40,10 +42,10 @@ pub struct LightSample {
     /// To the light, metres: what lies farther away does not block it. +∞ but for lamps.
     pub distance: f32,
     /// Radiance arriving from there: of the lamp drawn, or of everything else that shines from this
-    /// direction.
+    /// direction, times the weight of draws (1 unless [`Draws::Alone`]).
     pub radiance: Rgb,
     /// Density per steradian of this direction: see [`Lights::lamps_on`] for a lamp, for all else
-    /// [`Lights::evaluate`], summed over all strata.
+    /// [`Lights::evaluate`], summed over all strata, times the same weight.
     pub pdf: f32,
 }
 
@@ -62,6 +64,24 @@ impl Default for LightOptions {
         Self { suns: SunSplit::Auto, compensated: true }
     }
 }
+
+/// Which directions are drawn toward lights, and what such draws weigh beside those of a BSDF.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Draws {
+    /// As the lights were made: what exceeds the mean, by the balance heuristic.
+    #[default]
+    AsMade,
+    /// All light in proportion to its strength, by the balance heuristic.
+    Whole,
+    /// As [`Whole`](Self::Whole), and what a BSDF finds counts for nothing but in mirror directions.
+    Alone,
+    /// None: environment and suns are left to BSDFs.
+    Never,
+}
+
+/// What a light's draw weighs against a BSDF's where it shall stand alone. Not infinite: in directions
+/// without any draws the BSDF's keep their weight, and nothing is 0/0.
+const ALONE: f32 = 1e12;
 
 /// Why lights cannot be made.
 #[derive(Debug, thiserror::Error)]
@@ -90,8 +110,11 @@ pub struct Lights {
     place: Vec3,
     /// Texels of the panorama with a channel that was NaN, infinite or negative; it counts as 0.
     pub repaired: usize,
-    /// Running sums of the suns' shares of the sun stratum; the last is 1.
+    /// Running sums of the suns' shares of the sun stratum; the last is 1. All 0 where suns are never
+    /// drawn.
     sun_sums: Vec<f32>,
+    /// What a draw weighs beside those of a renderer's other techniques: 1 is the balance heuristic.
+    weight: f32,
 }
 
 impl Lights {
@@ -119,7 +142,26 @@ impl Lights {
             *last = 1.0;
         }
         let (lamps, walls, place) = (Vec::new(), None, Vec3::ZERO);
-        Self { environment, suns, lamps, walls, place, repaired: 0, sun_sums }
+        Self { environment, suns, lamps, walls, place, repaired: 0, sun_sums, weight: 1.0 }
+    }
+
+    /// The same lights, drawn otherwise. Every choice has the same mean; they differ in noise. Lamps
+    /// are drawn as ever.
+    pub fn with_draws(&self, draws: Draws) -> Self {
+        let mut lights = self.clone();
+        match draws {
+            Draws::AsMade => {}
+            Draws::Whole => lights.environment = lights.environment.with_whole_table(),
+            Draws::Alone => {
+                lights.environment = lights.environment.with_whole_table();
+                lights.weight = ALONE;
+            }
+            Draws::Never => {
+                lights.environment = lights.environment.without_table();
+                lights.sun_sums.fill(0.0);
+            }
+        }
+        lights
     }
 
     /// The same lights and more discs, say a sun recovered from the plate.
@@ -190,18 +232,18 @@ impl Lights {
         Some(LightSample {
             direction,
             distance: f32::INFINITY,
-            radiance: environment + suns,
-            pdf: environment_pdf + sun_pdf,
+            radiance: (environment + suns) * self.weight,
+            pdf: (environment_pdf + sun_pdf) * self.weight,
         })
     }
 
     /// Radiance arriving at a place from `direction` (unit, pointing away from the place) from behind
     /// everything and all lamps, and the expected number of draws per steradian there when every
-    /// stratum but the lamps' draws once.
+    /// stratum but the lamps' draws once, times the weight of draws.
     pub fn evaluate(&self, from: Vec3, direction: Vec3) -> (Rgb, f32) {
         let (radiance, pdf) = self.evaluate_environment(from, direction);
         let (sun_radiance, sun_pdf) = self.evaluate_suns(direction);
-        (radiance + sun_radiance, pdf + sun_pdf)
+        (radiance + sun_radiance, (pdf + sun_pdf) * self.weight)
     }
 
     fn evaluate_environment(&self, from: Vec3, direction: Vec3) -> (Rgb, f32) {

@@ -14,6 +14,7 @@ use super::sampler::{Purpose, Sampler};
 use super::surface::Surface;
 use super::world::World;
 use crate::conventions::Rgb;
+use crate::light::{Cells, LightSet, Lights};
 
 /// Cells of the environment.
 pub const CELLS: usize = 256;
@@ -21,20 +22,31 @@ pub const CELLS: usize = 256;
 /// draws of the lights find them as well, and cells cost more than they gain (R14; measured on the
 /// truth scenes: the same noise for 1.6 times the work under a sun, 2.4 times less variance at equal
 /// work under clouds).
-pub const SMALL_CELL: f32 = 0.03;
-pub const MOST_IN_SMALL: f32 = 0.25;
+const SMALL_CELL: f32 = 0.03;
+const MOST_IN_SMALL: f32 = 0.25;
 /// Beside them, each sun is one.
-pub const MOST_CELLS: usize = CELLS + 64;
+const MOST_CELLS: usize = CELLS + 64;
 /// Draws where all of a point's light may be blocked.
 const MOST_DRAWS: f32 = 8.0;
 /// Golden ratio: steps of a Kronecker sequence.
 const GOLDEN: f64 = 0.618_033_988_749_894_9;
+
+/// True if blocked light is drawn from cells unless something else is asked for.
+pub fn cells_pay(lights: &Lights, cells: &Cells) -> bool {
+    // Cells are directions that hold everywhere.
+    lights.proxy().is_none()
+        && cells.len() <= MOST_CELLS
+        && cells.share_of_small(SMALL_CELL) < MOST_IN_SMALL
+}
 
 impl World<'_> {
     /// ∫ f cosθ L dω over the directions in which an object is met and nothing local.
     ///
     /// Made for BSDFs whose value goes with the cosine; right for any without mirror directions.
     pub fn blocked_light(&self, surface: &Surface, cones: &Cones, sampler: &Sampler) -> Rgb {
+        if let Some(set) = &self.light_set {
+            return self.blocked_by_set(set, surface, cones, sampler);
+        }
         let normal = surface.geometric;
         // Which cells may be blocked, and the running sum of what they can give
         let mut cells = [(0_u32, 0.0_f32); MOST_CELLS];
@@ -84,6 +96,31 @@ impl World<'_> {
             }
             if self.flat || !self.local_occluded(&ray, sampler) {
                 blocked += value * arriving * (total / (draws * width));
+            }
+        }
+        blocked
+    }
+
+    /// The same as if all light came from a few directions. Biased; without noise of its own.
+    fn blocked_by_set(
+        &self,
+        set: &LightSet,
+        surface: &Surface,
+        cones: &Cones,
+        sampler: &Sampler,
+    ) -> Rgb {
+        let mut blocked = Rgb::ZERO;
+        for light in &set.lights {
+            if surface.geometric.dot(light.direction) <= 0.0 || !cones.may_meet(light.direction) {
+                continue;
+            }
+            let (value, _) = surface.evaluate(light.direction);
+            let ray = surface.leave(light.direction);
+            if value != Rgb::ZERO
+                && self.object_occluded(&ray, sampler)
+                && (self.flat || !self.local_occluded(&ray, sampler))
+            {
+                blocked += value * light.irradiance;
             }
         }
         blocked

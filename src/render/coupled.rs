@@ -155,7 +155,11 @@ impl World<'_> {
     ) -> Pair {
         let surface = &point.surface;
         let mut pair = Pair { without: want.control().unwrap_or(Rgb::ZERO), ..Pair::default() };
-        let share = if self.flat { CONE_SHARE_FLAT } else { CONE_SHARE };
+        let share = match (self.technique.cones, self.flat) {
+            (false, _) => 0.0,
+            (true, true) => CONE_SHARE_FLAT,
+            (true, false) => CONE_SHARE,
+        };
         let cones = if want.difference() {
             Cones::new(&self.parts, surface.position, surface.geometric, share)
         } else {
@@ -170,8 +174,18 @@ impl World<'_> {
         if by_cells {
             pair.delta -= self.blocked_light(surface, &cones, &sampler);
         }
-        let look =
-            Look { world: self, surface, want, power, cones: &cones, exact, by_cells, depth };
+        let evenly = self.technique.evenly && point.colour != Colouring::Own;
+        let look = Look {
+            world: self,
+            surface,
+            want,
+            power,
+            cones: &cones,
+            exact,
+            by_cells,
+            evenly,
+            depth,
+        };
         for stratum in 0..self.lights.n_strata() {
             look.toward_light(stratum, &sampler, &mut pair);
         }
@@ -210,7 +224,7 @@ impl World<'_> {
                 return known;
             }
         }
-        if depth >= MAX_DEPTH {
+        if depth >= self.technique.max_depth {
             return known;
         }
         let survival = if depth < LOOK_ROULETTE_DEPTH {
@@ -234,7 +248,7 @@ impl World<'_> {
         let mut sampler = sampler;
         let mut radiance = Rgb::ZERO;
         let mut throughput = Rgb::ONE;
-        for depth in depth..=MAX_DEPTH + 4 {
+        for depth in depth..self.technique.max_object_depth {
             let point = self.object_point(&ray, &hit);
             if let Some(per_metre) = point.inside {
                 throughput *= per_metre.powf(hit.t);
@@ -326,6 +340,16 @@ fn sample_clamped(
     bsdf.sample(wo, u.min(glam::Vec2::splat(1.0 - f32::EPSILON / 2.0)), choice)
 }
 
+/// Density per steradian of [`even_hemisphere`].
+const EVEN_PDF: f32 = 0.5 * std::f32::consts::FRAC_1_PI;
+
+/// A direction anywhere above the surface, local frame.
+fn even_hemisphere(u: glam::Vec2) -> Vec3 {
+    let radius = ((1.0 - u.x) * (1.0 + u.x)).sqrt();
+    let (sin, cos) = (std::f32::consts::TAU * u.y).sin_cos();
+    Vec3::new(radius * cos, radius * sin, u.x.max(1e-6))
+}
+
 /// One look from a local point, with what its draws share.
 struct Look<'w> {
     world: &'w World<'w>,
@@ -337,6 +361,8 @@ struct Look<'w> {
     exact: bool,
     /// Blocked far light is already known.
     by_cells: bool,
+    /// Looks evenly over the hemisphere, not by the BSDF.
+    evenly: bool,
     depth: u32,
 }
 
@@ -378,6 +404,10 @@ impl Look<'_> {
         let share = self.cones.share();
         let (direction, value, mixture) = if choice < share {
             let Some(direction) = self.cones.sample(u, choice) else { return };
+            let (value, bsdf_pdf) = surface.evaluate(direction);
+            (direction, value, self.mixture_pdf(bsdf_pdf, direction))
+        } else if self.evenly {
+            let direction = surface.to_world(even_hemisphere(u));
             let (value, bsdf_pdf) = surface.evaluate(direction);
             (direction, value, self.mixture_pdf(bsdf_pdf, direction))
         } else {
@@ -427,7 +457,7 @@ impl Look<'_> {
         // What the object sends, by roulette: it matters little where the direction matters little
         if let Some(hit) = object {
             let survival = if mixture.is_finite() { (4.0 * power).clamp(0.05, 1.0) } else { 1.0 };
-            if self.depth < MAX_DEPTH && next.one(Purpose::Roulette) < survival {
+            if self.depth < world.technique.max_depth && next.one(Purpose::Roulette) < survival {
                 let sent = world.object_radiance(&ray, &hit, next.descend(3), self.depth + 1);
                 pair.delta += by_mixture * sent / survival;
             }
@@ -481,6 +511,7 @@ impl Look<'_> {
     }
 
     fn mixture_pdf(&self, bsdf_pdf: f32, direction: Vec3) -> f32 {
-        (1.0 - self.cones.share()) * bsdf_pdf + self.cones.pdf(direction)
+        let own = if self.evenly { EVEN_PDF } else { bsdf_pdf };
+        (1.0 - self.cones.share()) * own + self.cones.pdf(direction)
     }
 }

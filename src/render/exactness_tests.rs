@@ -3,7 +3,7 @@
 use glam::Vec3;
 
 use super::test_scenes::*;
-use super::{Context, Difference, Job, Method, Numbers, Stop, integrator};
+use super::{Context, Difference, Job, Method, Numbers, Stop, Technique, integrator};
 use crate::conventions::Rgb;
 use crate::photo::Image;
 use crate::scene::{AlbedoSource, Mesh};
@@ -111,6 +111,7 @@ fn a_cancelled_context_stops_at_once() {
         numbers: Numbers::SobolOwen,
         least_step: 0.0,
         denoise: false,
+        technique: Technique::default(),
     };
     let context = Context::new(1);
     context.cancel();
@@ -134,6 +135,7 @@ fn wrong_jobs_are_refused_with_their_cause() {
             numbers,
             least_step: 0.0,
             denoise: false,
+            technique: Technique::default(),
         };
         job.validate().unwrap_err().to_string()
     };

@@ -9,7 +9,7 @@ use super::near_tests::{room, table_lamp};
 use super::primary::Primary;
 use super::test_scenes::*;
 use super::world::World;
-use super::{Context, Job, Method, Numbers, Stop, integrator};
+use super::{Context, Job, Method, Numbers, Stop, Technique, integrator};
 use crate::camera::Camera;
 use crate::conventions::Rgb;
 use crate::light::Lights;
@@ -132,6 +132,7 @@ fn samples_go_only_where_something_can_be_seen() {
         numbers: Numbers::SobolOwen,
         least_step: 0.0,
         denoise: false,
+        technique: Technique::default(),
     };
     let mut integrator = integrator(Method::Coupled, job).unwrap();
     while !integrator.next_wave(&Context::new(3)).finished() {}
@@ -168,6 +169,7 @@ fn sparse_quiet_tiles_lose_no_thin_shadow() {
         numbers: Numbers::SobolOwen,
         least_step: 0.0,
         denoise: false,
+        technique: Technique::default(),
     };
     let mut integrator = integrator(Method::Coupled, job).unwrap();
     while !integrator.next_wave(&Context::new(4)).finished() {}

@@ -3,6 +3,7 @@
 use super::coupled::Coupled;
 use super::primary::Primary;
 use super::sampler::Numbers;
+use super::technique::Technique;
 use super::two_pass::TwoPass;
 use super::waves::Waves;
 use super::world::World;
@@ -38,6 +39,8 @@ pub struct Job<'a> {
     pub least_step: f32,
     /// Filter the finished picture where that provably lowers its error.
     pub denoise: bool,
+    /// [`Technique::default`] unless methods are compared.
+    pub technique: Technique,
 }
 
 /// Why a job cannot be rendered.
@@ -124,6 +127,11 @@ pub fn integrator<'a>(
 ) -> Result<Box<dyn Integrator + Send + 'a>, RenderError> {
     job.validate()?;
     let world = World::new(job.scene, job.lights, job.camera, job.plate);
+    let world = if job.technique == Technique::default() {
+        world
+    } else {
+        world.with_technique(job.technique)
+    };
     let primary = Primary::new(job.camera, world.eye);
     Ok(match method {
         Method::Coupled => Box::new(Waves::new(Coupled { world, primary }, &job)),

@@ -24,6 +24,7 @@ pub mod sheen;
 pub mod skylight;
 pub mod sources;
 pub mod surface;
+pub mod technique;
 pub mod tile;
 pub mod two_pass;
 pub mod waves;
@@ -42,10 +43,13 @@ mod influence_tests;
 #[cfg(test)]
 mod near_tests;
 #[cfg(test)]
+mod technique_tests;
+#[cfg(test)]
 mod test_scenes;
 
 pub use job::{Job, Method, RenderError, integrator};
 pub use sampler::Numbers;
+pub use technique::{Blocked, Technique};
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};

@@ -111,7 +111,9 @@ mod tests {
     use crate::conventions::Rgb;
     use crate::photo::Image;
     use crate::render::test_scenes::*;
-    use crate::render::{Context, Difference, Job, Method, Numbers, Stop, Wave, integrator};
+    use crate::render::{
+        Context, Difference, Job, Method, Numbers, Stop, Technique, Wave, integrator,
+    };
     use crate::scene::AlbedoSource;
 
     const WIDTH: usize = 96;
@@ -135,6 +137,7 @@ mod tests {
             numbers: Numbers::SobolOwen,
             least_step: 0.0,
             denoise,
+            technique: Technique::default(),
         };
         let mut integrator = integrator(Method::Coupled, job).unwrap();
         let context = Context::new(seed);

@@ -60,7 +60,7 @@ impl Source {
 
 impl Sources {
     pub fn new(world: &World) -> Self {
-        let lights = world.lights;
+        let lights = &world.lights;
         let proxy = lights.proxy();
         let part = |cell: &Cell| {
             if cell.is_sun() {

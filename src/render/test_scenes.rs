@@ -2,7 +2,7 @@
 
 use glam::{DVec3, Vec3};
 
-use super::{Context, Difference, Job, Method, Numbers, Stop, integrator};
+use super::{Context, Difference, Job, Method, Numbers, Stop, Technique, integrator};
 use crate::camera::{Camera, Lens, Pose};
 use crate::conventions::Rgb;
 use crate::light::{Disc, Environment, Lights};
@@ -133,6 +133,7 @@ pub fn render(
         numbers: Numbers::SobolOwen,
         least_step: 0.0,
         denoise: false,
+        technique: Technique::default(),
     };
     let mut integrator = integrator(method, job).unwrap();
     let context = Context::new(seed);

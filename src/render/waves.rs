@@ -24,7 +24,8 @@ use super::sampler::{Numbers, Sampler};
 use super::tile::{Floors, Grid, Tile};
 use super::world::World;
 use super::{Context, Difference, Integrator, Progress, Stop, Wave};
-use crate::conventions::luminance;
+use crate::conventions::{Rgb, luminance};
+use crate::photo::Image;
 
 /// Independent replicates that a finished picture aims at.
 const REPLICATES: u32 = 8;
@@ -62,6 +63,16 @@ pub trait Estimator: Sync {
     fn sample(&self, x: usize, y: usize, sampler: Sampler) -> Sample;
 }
 
+fn mean_brightness(plate: &Image<Rgb>) -> f32 {
+    let sum: f64 = plate.pixels().iter().map(|&p| f64::from(luminance(p).max(0.0))).sum();
+    (sum / plate.pixels().len().max(1) as f64) as f32
+}
+
+/// Brightness below which errors are not magnified.
+pub(super) fn error_floor(plate: &Image<Rgb>) -> f32 {
+    (FLOOR * mean_brightness(plate)).max(1e-6)
+}
+
 /// Drives an [`Estimator`] wave by wave.
 pub struct Waves<E> {
     estimator: E,
@@ -90,8 +101,8 @@ impl<E: Estimator> Waves<E> {
         let Job { stop, numbers, least_step, denoise, .. } = *job;
         let plate = estimator.world().plate;
         let blocks = Block::all(plate.width(), plate.height());
-        let sum: f64 = plate.pixels().iter().map(|&p| f64::from(luminance(p).max(0.0))).sum();
-        let mean = (sum / plate.pixels().len().max(1) as f64) as f32;
+        let mean = mean_brightness(plate);
+        let floors = Floors { error: error_floor(plate), dark: 1e-4 * mean.max(1e-6) };
         Self {
             missing: plate.pixels().len() as u64,
             tiles: blocks.into_iter().map(Tile::new).collect(),
@@ -107,7 +118,7 @@ impl<E: Estimator> Waves<E> {
             seconds: 0.0,
             samples: 0,
             error: f64::INFINITY,
-            floors: Floors { error: (FLOOR * mean).max(1e-6), dark: 1e-4 * mean.max(1e-6) },
+            floors,
         }
     }
 
@@ -416,7 +427,7 @@ impl<E: Estimator> Integrator for Waves<E> {
 mod tests {
     use super::*;
     use crate::light::Lights;
-    use crate::photo::Image;
+    use crate::render::Technique;
     use crate::render::coupled::Coupled;
     use crate::render::test_scenes::*;
     use crate::scene::{AlbedoSource, Scene};
@@ -465,6 +476,7 @@ mod tests {
             numbers: Numbers::SobolOwen,
             least_step: 0.0,
             denoise: false,
+            technique: Technique::default(),
         };
         let world = World::new(&scene, &lights, &camera, &plate);
         let primary = Primary::new(&camera, world.eye);

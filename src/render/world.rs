@@ -3,16 +3,19 @@
 //! Two structures, local and objects, so that one step along a ray answers for both worlds.
 //! Points are relative to the scene's origin.
 
+use std::borrow::Cow;
+
 use glam::{DVec2, Vec2, Vec3};
 
 use super::albedo::AlbedoMap;
-use super::blocked::{CELLS, MOST_CELLS, MOST_IN_SMALL, SMALL_CELL};
+use super::blocked::{CELLS, cells_pay};
 use super::sampler::{Purpose, Sampler};
 use super::skylight::Skylight;
 use super::surface::{LocalPoint, ObjectPoint, Surface};
+use super::technique::{Blocked, Technique};
 use crate::camera::Camera;
 use crate::conventions::Rgb;
-use crate::light::{Cells, Lights};
+use crate::light::{Cells, Draws, LightSet, Lights};
 use crate::photo::Image;
 use crate::scene::{LocalRole, Mesh, Place, Scene};
 use crate::trace::{Accel, Hit, Ray};
@@ -32,11 +35,14 @@ pub struct PartBall {
 /// The scene of a job, ready for paths.
 pub struct World<'a> {
     pub scene: &'a Scene,
-    pub lights: &'a Lights,
+    pub lights: Cow<'a, Lights>,
     /// The same lights, to draw what objects block of them.
     pub cells: Cells,
     /// True if blocked light is drawn from cells: see [`blocked`](super::blocked).
     pub by_cells: bool,
+    /// Where light is blocked as if it came from these directions alone.
+    pub light_set: Option<LightSet>,
+    pub technique: Technique,
     pub camera: &'a Camera,
     pub plate: &'a Image<Rgb>,
     pub local: Accel,
@@ -98,19 +104,41 @@ impl<'a> World<'a> {
             eye: (camera.pose.position() - scene.origin).as_vec3(),
             albedo: AlbedoMap::unknown(scene),
             skylight: Skylight::new(scene, lights),
-            // Cells are directions that hold everywhere.
-            by_cells: lights.proxy().is_none()
-                && cells.len() <= MOST_CELLS
-                && cells.share_of_small(SMALL_CELL) < MOST_IN_SMALL,
+            by_cells: cells_pay(lights, &cells),
+            light_set: None,
+            technique: Technique::default(),
             cells,
             scene,
-            lights,
+            lights: Cow::Borrowed(lights),
             camera,
             plate,
             local,
             objects,
             parts,
         }
+    }
+
+    /// The same, to be estimated by another technique. Cells and lists of lights are directions that
+    /// hold everywhere: with near walls blocked light is found by draws instead.
+    pub fn with_technique(mut self, technique: Technique) -> Self {
+        let near = self.lights.proxy().is_some();
+        let blocked = if near { Blocked::Draws } else { technique.blocked };
+        let technique = Technique { blocked, ..technique };
+        let lights = self.lights.as_ref();
+        self.light_set = match technique.blocked {
+            Blocked::Patches(n) => Some(LightSet::patches(lights, n as usize)),
+            Blocked::MedianCut(n) => Some(LightSet::median_cut(lights, n as usize)),
+            Blocked::Auto | Blocked::Draws | Blocked::Cells => None,
+        };
+        self.by_cells = match technique.blocked {
+            Blocked::Auto => self.by_cells,
+            Blocked::Draws => false,
+            Blocked::Cells | Blocked::Patches(_) | Blocked::MedianCut(_) => true,
+        };
+        if technique.draws != Draws::AsMade {
+            self.lights = Cow::Owned(self.lights.with_draws(technique.draws));
+        }
+        Self { technique, ..self }
     }
 
     /// Traces a ray in both worlds at once.

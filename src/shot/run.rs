@@ -19,7 +19,9 @@ use super::write::{self, FileMark, OutFiles};
 use crate::composite::{Mode, compose};
 use crate::conventions::Rgb;
 use crate::photo::{Image, PhotoError, atomic};
-use crate::render::{self, Context, Difference, Job, Numbers, Progress, RenderError, Stop};
+use crate::render::{
+    self, Context, Difference, Job, Numbers, Progress, RenderError, Stop, Technique,
+};
 use crate::report::{RenderReport, Report, ReportError};
 
 /// How to run, beside what the shot file says.
@@ -256,6 +258,7 @@ fn render_shot(
         numbers: Numbers::default(),
         least_step: plan.plate.least_step(),
         denoise: plan.shot.render.denoise == DenoiseKeys::Auto,
+        technique: Technique::default(),
     };
     let mut integrator = render::integrator(prepared.method, job)?;
     let mode = mode(plan).0;
