@@ -13,6 +13,8 @@ pub mod lamp;
 pub mod near_field;
 mod patch;
 pub mod proxy;
+#[cfg(test)]
+mod stability_tests;
 pub mod sun;
 mod support_grid;
 pub mod table;

@@ -43,6 +43,8 @@ mod influence_tests;
 #[cfg(test)]
 mod near_tests;
 #[cfg(test)]
+mod stability_tests;
+#[cfg(test)]
 mod technique_tests;
 #[cfg(test)]
 mod test_scenes;
