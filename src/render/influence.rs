@@ -14,7 +14,7 @@ use super::guides::{Block, Footprint, View};
 use super::sources::Sources;
 use super::world::{PartBall, World, is_flat};
 use crate::conventions::Rgb;
-use crate::scene::Material;
+use crate::scene::{Clearcoat, Material};
 use crate::trace::Accel;
 
 /// Balls that bound one local mesh.
@@ -269,12 +269,16 @@ fn brightest(material: &Material) -> f32 {
     if material.metallic > 0.0 || material.transmission > 0.0 || is_smooth(material) {
         return 1.0;
     }
-    // A rough dielectric's gloss adds a little to its colour.
-    (material.base_colour.truncate().max_element() + 0.1).min(1.0)
+    // A rough dielectric's gloss adds a little to its colour, a coat no more; sheen its own.
+    let sheen = material.sheen.as_ref().map_or(0.0, |sheen| sheen.colour.max_element());
+    (material.base_colour.truncate().max_element() + 0.1 + sheen).min(1.0)
 }
 
 fn is_smooth(material: &Material) -> bool {
-    material.roughness < SMOOTH || material.metallic_roughness_texture.is_some()
+    let coat = |coat: &Clearcoat| coat.roughness < SMOOTH || coat.roughness_texture.is_some();
+    material.roughness < SMOOTH
+        || material.metallic_roughness_texture.is_some()
+        || material.clearcoat.as_ref().is_some_and(coat)
 }
 
 fn has_smooth_objects(world: &World) -> bool {
