@@ -7,7 +7,10 @@
 //! Upon that may lie a [`Sheen`], and upon all a [`Coat`].
 //! Everything happens in a local frame, normal +z on the side of `wo`. Radiance is counted per η²
 //! ("basic radiance"), so nothing is scaled at a boundary; camera and lights are all outside.
-//! Multiple scattering between microfacets is not added back: rough metals lose what R4.9 lists.
+//! Microfacets lose the light that they pass among each other (69 % of it at α = 1, head on), as
+//! appendix B has it. With `multiple_scattering` it is given back after Turquin 2019: the reflection of
+//! metal and plastic is scaled by 1 + F₀ (1 − E) / E, with E the albedo of its lobe at reflectance 1. That
+//! goes by the view alone and is not quite reciprocal.
 
 use std::f32::consts::FRAC_1_PI;
 
@@ -35,6 +38,8 @@ pub struct Bsdf {
     pub eta: f32,
     /// No volume behind the surface: light goes straight through.
     pub thin: bool,
+    /// Whether light scattered between microfacets more than once is given back.
+    pub multiple_scattering: bool,
     pub sheen: Option<Sheen>,
     pub coat: Option<Coat>,
 }
@@ -92,6 +97,7 @@ impl Bsdf {
             transmission: 0.0,
             eta: 1.5,
             thin: true,
+            multiple_scattering: false,
             sheen: None,
             coat: None,
         }
@@ -193,7 +199,7 @@ impl Bsdf {
             let g = ggx::masking(wo, self.alpha);
             let facets = d * g * ggx::masking(wi, self.alpha) / (4.0 * wo.z);
             let facet_pdf = d * g / (4.0 * wo.z);
-            value += self.facet_fresnel(cosine) * facets;
+            value += self.facet_reflectance(wo, cosine) * facets;
             pdf += shares.facets * facet_pdf;
             if shares.glass > 0.0 {
                 let reflected = self.boundary(cosine);
@@ -218,7 +224,7 @@ impl Bsdf {
         if rest < shares.facets {
             let wi = fresnel::reflect(wo, h);
             return match (smooth, wi.z > 0.0) {
-                (true, _) => mirror(wi, self.facet_fresnel(cosine) / shares.facets),
+                (true, _) => mirror(wi, self.facet_reflectance(wo, cosine) / shares.facets),
                 (false, true) => rough(wi),
                 (false, false) => None,
             };
@@ -303,11 +309,18 @@ impl Bsdf {
         if self.thin { r.map(|r| fresnel::sheet(r).0) } else { r }
     }
 
-    /// Reflectance of the microfacets of metal and plastic together.
-    fn facet_fresnel(&self, cosine: f32) -> Rgb {
+    /// Reflectance of the microfacets of metal and plastic together, seen along `wo`, where a facet
+    /// meets light at `cosine`.
+    fn facet_reflectance(&self, wo: Vec3, cosine: f32) -> Rgb {
         let plastic = (1.0 - self.metallic) * (1.0 - self.transmission) * self.specular;
-        fresnel::schlick(self.base, cosine) * self.metallic
-            + fresnel::schlick(self.f0, cosine) * plastic
+        let metal = fresnel::schlick(self.base, cosine) * self.metallic;
+        let plastic = fresnel::schlick(self.f0, cosine) * plastic;
+        if !self.multiple_scattering || self.alpha < SMOOTH_ALPHA {
+            return metal + plastic;
+        }
+        let albedo = ggx::albedo(wo.z, self.alpha);
+        let lost = (1.0 - albedo) / albedo;
+        metal * (1.0 + self.base * lost) + plastic * (1.0 + self.f0 * lost)
     }
 
     /// Layers by what they reflect of a white sky seen along `wo`, roughly.
@@ -326,7 +339,7 @@ impl Bsdf {
 
     /// Lobes by what they reflect of a white sky seen along `wo`, roughly.
     fn shares(&self, wo: Vec3) -> Shares {
-        let facets = self.facet_fresnel(wo.z).max_element();
+        let facets = self.facet_reflectance(wo, wo.z).max_element();
         // Along a grazing view the facets take nearly all by the mirror, not by steep facets: the
         // matt part must not be starved of draws.
         let kept = 1.0 - self.specular * fresnel::schlick(self.f0, wo.z.max(0.5)).max_element();

@@ -5,8 +5,11 @@
 //! format's own formula wins. Visible normals are sampled by spherical caps (Dupuy & Benyoub 2023).
 
 use std::f32::consts::{PI, TAU};
+use std::sync::LazyLock;
 
 use glam::{Vec2, Vec3, vec3};
+
+use super::energy::AlbedoTable;
 
 /// Roughness below which a lobe is taken as a perfect mirror.
 pub const SMOOTH_ALPHA: f32 = 1e-3;
@@ -40,6 +43,31 @@ pub fn pdf_visible_normal(v: Vec3, h: Vec3, alpha: f32) -> f32 {
     masking(v, alpha) * v.dot(h).max(0.0) * distribution(h, alpha) / v.z.max(1e-9)
 }
 
+/// What a lobe of reflectance 1 sends toward a view at cosine `mu`, of white light from all over; the
+/// rest is lost between the microfacets. Within 0.003 for α and μ of 0.05 and more.
+pub fn albedo(mu: f32, alpha: f32) -> f32 {
+    ALBEDO.look_up(mu, alpha)
+}
+
+static ALBEDO: LazyLock<AlbedoTable> = LazyLock::new(|| {
+    // The mean of G₁ over the reflections about visible normals, at midpoints of their two numbers.
+    const N: usize = 32;
+    AlbedoTable::new(|cosines, alpha| {
+        let alpha = alpha.max(SMOOTH_ALPHA);
+        cosines.map(|mu| {
+            let v = vec3((1.0 - mu * mu).max(0.0).sqrt(), 0.0, mu);
+            let mut sum = 0.0;
+            for k in 0..N * N {
+                let middle = |k: usize| (k as f32 + 0.5) / N as f32;
+                let h = sample_visible_normal(v, alpha, Vec2::new(middle(k % N), middle(k / N)));
+                let l = 2.0 * v.dot(h) * h - v;
+                sum += if l.z > 0.0 { masking(l, alpha) } else { 0.0 };
+            }
+            sum / (N * N) as f32
+        })
+    })
+});
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -54,7 +82,7 @@ mod tests {
     }
 
     /// Single-scatter albedo with reflectance 1: mean of G₁(l) over reflected visible normals.
-    fn albedo(mu: f32, alpha: f32) -> f64 {
+    fn drawn_albedo(mu: f32, alpha: f32) -> f64 {
         let (v, n) = (at(mu), 1 << 17);
         let sum: f64 = (0..n)
             .map(|i| {
@@ -72,8 +100,18 @@ mod tests {
         for (alpha, wanted) in
             [(0.25, 0.9156), (0.5, 0.6886), (0.75, 0.4652), (1.0, 1.0 - std::f64::consts::LN_2)]
         {
-            let got = albedo(1.0, alpha);
+            let got = drawn_albedo(1.0, alpha);
             assert!((got - wanted).abs() < 2e-3, "alpha {alpha}: {got} for {wanted}");
+        }
+    }
+
+    #[test]
+    fn the_table_is_the_albedo_between_its_nodes_too() {
+        for alpha in [0.05, 0.13, 0.3, 0.62, 1.0] {
+            for mu in [0.05, 0.21, 0.5, 0.83, 1.0] {
+                let (got, wanted) = (f64::from(albedo(mu, alpha)), drawn_albedo(mu, alpha));
+                assert!((got - wanted).abs() < 3e-3, "mu {mu} alpha {alpha}: {got} for {wanted}");
+            }
         }
     }
 
@@ -95,7 +133,7 @@ mod tests {
                     sum += f64::from(f) * f64::from(TAU) / f64::from(n * n);
                 }
             }
-            let got = albedo(mu, alpha);
+            let got = drawn_albedo(mu, alpha);
             assert!((got - sum).abs() < 2e-3, "mu {mu} alpha {alpha}: {got} for {sum}");
         }
     }

@@ -47,6 +47,9 @@ pub struct Material {
     pub sheen: Option<Sheen>,
     /// Above everything else, the sheen too.
     pub clearcoat: Option<Clearcoat>,
+    /// Whether light that microfacets pass among each other is given back. glTF's own formula, and the
+    /// default, loses it.
+    pub multiple_scattering: bool,
 }
 
 impl Default for Material {
@@ -77,6 +80,7 @@ impl Default for Material {
             specular_colour_texture: None,
             sheen: None,
             clearcoat: None,
+            multiple_scattering: false,
         }
     }
 }
@@ -143,6 +147,8 @@ pub struct SurfaceParameters {
     pub clearcoat: f32,
     /// Perceptual; GGX α = roughness².
     pub clearcoat_roughness: f32,
+    /// See [`Material::multiple_scattering`].
+    pub multiple_scattering: bool,
 }
 
 impl Material {
@@ -179,6 +185,7 @@ impl Material {
             sheen_roughness: 0.0,
             clearcoat: 0.0,
             clearcoat_roughness: 0.0,
+            multiple_scattering: self.multiple_scattering,
         };
         if let Some(sheen) = &self.sheen {
             sheen.evaluate(sample, &mut at);

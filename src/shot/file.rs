@@ -114,6 +114,8 @@ pub struct Render {
     /// "auto" or a method's name.
     pub method: String,
     pub denoise: DenoiseKeys,
+    /// Whether rough surfaces get back what glTF's formula loses between their microfacets.
+    pub multiple_scattering: bool,
 }
 
 /// `render.denoise`
@@ -266,6 +268,7 @@ fn read_root(root: &Keys, path: &Path, folder: &Path) -> Option<ShotFile> {
                 stop: StopKeys::default(),
                 method: "auto".to_owned(),
                 denoise: DenoiseKeys::default(),
+                multiple_scattering: false,
             })
         },
         |keys| read_render(&keys),
@@ -385,13 +388,18 @@ fn read_object(keys: &Keys, folder: &Path) -> Option<Object> {
     Some(Object { file: file?, at, rotate, scale })
 }
 
-const RENDER: &[&str] = &["error", "time", "samples", "method", "denoise"];
+const RENDER: &[&str] = &["error", "time", "samples", "method", "denoise", "multiple_scattering"];
 
 fn read_render(keys: &Keys) -> Option<Render> {
     let method = keys.choice("method", &METHODS.map(|(name, _)| (name, name)));
     let method = method.unwrap_or("auto").to_owned();
     let denoise = keys.choice("denoise", &[("off", DenoiseKeys::Off), ("auto", DenoiseKeys::Auto)]);
-    Some(Render { stop: StopKeys::read(keys)?, method, denoise: denoise.unwrap_or_default() })
+    Some(Render {
+        stop: StopKeys::read(keys)?,
+        method,
+        denoise: denoise.unwrap_or_default(),
+        multiple_scattering: keys.flag("multiple_scattering").unwrap_or(false),
+    })
 }
 
 fn read_composite(keys: Option<&Keys>) -> CompositeKeys {

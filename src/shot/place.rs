@@ -43,6 +43,9 @@ pub fn scene(plan: &Plan) -> Result<Scene, SceneError> {
     for (model, world_from_model) in placed {
         scene.add_object(model, &world_from_model)?;
     }
+    for material in &mut scene.materials {
+        material.multiple_scattering = plan.shot.render.multiple_scattering;
+    }
     Ok(scene)
 }
 
