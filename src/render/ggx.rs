@@ -50,20 +50,22 @@ pub fn albedo(mu: f32, alpha: f32) -> f32 {
 }
 
 static ALBEDO: LazyLock<AlbedoTable> = LazyLock::new(|| {
-    // The mean of G₁ over the reflections about visible normals, at midpoints of their two numbers.
-    const N: usize = 32;
+    // The mean of G₁ over the reflections about visible normals, at the points of a golden lattice: on
+    // a square grid the edge below which reflections are lost falls between rows.
+    const N: usize = 1024;
     AlbedoTable::new(|cosines, alpha| {
         let alpha = alpha.max(SMOOTH_ALPHA);
         cosines.map(|mu| {
             let v = vec3((1.0 - mu * mu).max(0.0).sqrt(), 0.0, mu);
             let mut sum = 0.0;
-            for k in 0..N * N {
-                let middle = |k: usize| (k as f32 + 0.5) / N as f32;
-                let h = sample_visible_normal(v, alpha, Vec2::new(middle(k % N), middle(k / N)));
+            for k in 0..N {
+                let turn = (k as f64 * 0.618_033_988_749_894_9).fract() as f32;
+                let u = Vec2::new(turn, (k as f32 + 0.5) / N as f32);
+                let h = sample_visible_normal(v, alpha, u);
                 let l = 2.0 * v.dot(h) * h - v;
                 sum += if l.z > 0.0 { masking(l, alpha) } else { 0.0 };
             }
-            sum / (N * N) as f32
+            sum / N as f32
         })
     })
 });
