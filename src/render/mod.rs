@@ -12,6 +12,7 @@ pub mod coupled;
 pub mod denoise;
 pub mod energy;
 pub mod film;
+mod fit;
 pub mod fresnel;
 pub mod ggx;
 pub mod guides;

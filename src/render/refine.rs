@@ -40,8 +40,15 @@ pub fn refine(
         &halves,
         |h| (h.ratio, h.ratio_mass),
         |x, y| guides.local[(frame.x + x, frame.y + y)].map_or(0, |mesh| mesh as u32 + 1),
+        // What is lost goes with the place; at an outline the normal would be the object's.
+        |_, _| Rgb::ZERO,
     );
-    let object = filter(&halves, |h| (h.object, h.object_mass), |_, _| 1);
+    let object = filter(
+        &halves,
+        |h| (h.object, h.object_mass),
+        |_, _| 1,
+        |x, y| guides.normal[(frame.x + x, frame.y + y)],
+    );
     let estimates: Vec<Vec<Estimate>> = tiles
         .par_iter()
         .map(|tile| {
@@ -93,6 +100,7 @@ fn filter(
     halves: &Image<Halves>,
     of: impl Fn(&Halves) -> (Option<[Rgb; 2]>, f32),
     group: impl Fn(usize, usize) -> u32,
+    normal: impl Fn(usize, usize) -> Rgb,
 ) -> (Filtered, Image<u32>) {
     let (width, height) = (halves.width(), halves.height());
     let groups = Image::from_fn(width, height, |x, y| {
@@ -100,7 +108,12 @@ fn filter(
     });
     let half = |k: usize| halves.map(|h| of(h).0.map_or(Rgb::ZERO, |both| both[k]));
     let masses = halves.map(|h| of(h).1.max(1e-6));
-    let filtered = denoise(&Noisy { halves: [half(0), half(1)], groups: groups.clone(), masses });
+    let filtered = denoise(&Noisy {
+        halves: [half(0), half(1)],
+        groups: groups.clone(),
+        masses,
+        normals: Image::from_fn(width, height, normal),
+    });
     (filtered, groups)
 }
 
