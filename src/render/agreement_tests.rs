@@ -13,7 +13,7 @@ use crate::camera::Camera;
 use crate::conventions::Rgb;
 use crate::light::Lights;
 use crate::photo::Image;
-use crate::scene::{AlbedoSource, Material, Scene};
+use crate::scene::{AlbedoSource, Clearcoat, Material, Scene, Sheen};
 
 const TWO_PASS: Method = Method::TwoPass { same_numbers: true };
 const WIDTH: usize = 24;
@@ -112,6 +112,35 @@ fn estimators_agree_on_a_glass_ball() {
         ..matt(1.0)
     };
     on_ground("glass", &uniform_sky(1.0), glass);
+}
+
+#[test]
+fn estimators_agree_on_lacquer_and_velvet() {
+    let clearcoat = Some(Clearcoat { factor: 1.0, roughness: 0.3, ..Clearcoat::default() });
+    let sheen = Some(Sheen { colour: Rgb::splat(0.8), roughness: 0.5, ..Sheen::default() });
+    on_ground(
+        "lacquered velvet",
+        &sunny_sky(50.0, 1.0),
+        Material { clearcoat, sheen, ..matt(0.3) },
+    );
+}
+
+#[test]
+fn estimators_agree_between_a_glowing_ball_and_a_glossy_one() {
+    // G27: the two-pass method finds the lamp by chance alone, the coupled one by draws on it as well.
+    let lights = uniform_sky(1.0);
+    let lamp = Material { emissive: Rgb::new(4.0, 3.0, 1.0), ..matt(0.2) };
+    let glossy = Material { specular: 1.0, roughness: 0.4, ..matt(0.6) };
+    let mut shining = sphere(Vec3::new(0.3, 0.2, 0.2), 0.2, 3);
+    shining.material = 1;
+    let scene = Scene {
+        objects: vec![sphere(Vec3::new(-0.2, 0.3, 0.0), 0.3, 4), shining],
+        local: vec![local(ground(3.0), AlbedoSource::Constant(Rgb::splat(0.5)))],
+        materials: vec![glossy, lamp],
+        ..Scene::default()
+    };
+    let camera = corner_camera(WIDTH, HEIGHT, 2.5);
+    assert_agreement("glow", &scene, &lights, &camera, &plate_of_ground(&lights, 0.5));
 }
 
 #[test]

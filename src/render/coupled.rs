@@ -13,6 +13,7 @@
 //! object is touched: D is exactly zero there.
 //! The same draws estimate the light without objects, L_without, as the ratio D / L_without needs it;
 //! where the plain horizon irradiance is known exactly and nearly right it serves as control variate.
+//! What objects shine themselves is drawn on their triangles too (`glow`).
 //! Lamps stand on the rays, before what ends them: each is weighed on its own, by its own draws and the
 //! mixture, and is blocked by what is nearer than it.
 
@@ -95,7 +96,8 @@ impl Estimator for Coupled<'_> {
         };
         let step = self.world.camera_step(&ray, &sampler);
         if let Some(hit) = step.object {
-            let radiance = self.world.object_radiance(&ray, &hit, sampler.descend(0), 0);
+            let radiance =
+                self.world.object_radiance(&ray, &hit, f32::INFINITY, sampler.descend(0), 0);
             return Sample { coverage: 1.0, object: radiance, ..Sample::default() };
         }
         let Some(hit) = step.local else { return Sample::default() };
@@ -189,6 +191,9 @@ impl World<'_> {
         for stratum in 0..self.lights.n_strata() {
             look.toward_light(stratum, &sampler, &mut pair);
         }
+        if want.difference() && self.may_meet_objects(depth) {
+            pair.delta += self.lit_by_glow(surface, &sampler, |pdf, d| look.mixture_pdf(pdf, d));
+        }
         look.along_mixture(&sampler, &mut pair);
         pair
     }
@@ -241,10 +246,24 @@ impl World<'_> {
         Pair { delta: pair.delta * scale, without: known.without + pair.without * scale }
     }
 
-    /// Radiance in the world with objects that an object sends back along a ray.
-    pub fn object_radiance(&self, ray: &Ray, hit: &Hit, sampler: Sampler, depth: u32) -> Rgb {
+    /// Whether the path may go on from a local point at `depth` to an object.
+    fn may_meet_objects(&self, depth: u32) -> bool {
+        depth < self.technique.max_depth && depth + 1 < self.technique.max_object_depth
+    }
+
+    /// Radiance in the world with objects that an object sends back along a ray, whose direction was
+    /// drawn with density `found`; +∞ if nothing else could have found it.
+    pub fn object_radiance(
+        &self,
+        ray: &Ray,
+        hit: &Hit,
+        found: f32,
+        sampler: Sampler,
+        depth: u32,
+    ) -> Rgb {
         let mut ray = *ray;
         let mut hit = *hit;
+        let mut found = found;
         let mut sampler = sampler;
         let mut radiance = Rgb::ZERO;
         let mut throughput = Rgb::ONE;
@@ -253,10 +272,16 @@ impl World<'_> {
             if let Some(per_metre) = point.inside {
                 throughput *= per_metre.powf(hit.t);
             }
-            radiance += throughput * point.emitted;
+            if point.emitted != Rgb::ZERO {
+                let weight = self.weight_of_met_glow(&ray, &hit, found);
+                radiance += throughput * point.emitted * weight;
+            }
             let surface = &point.surface;
             for stratum in 0..self.lights.n_strata() {
                 radiance += throughput * self.lit_with(surface, stratum, &sampler);
+            }
+            if depth + 1 < self.technique.max_object_depth {
+                radiance += throughput * self.lit_by_glow(surface, &sampler, |pdf, _| pdf);
             }
             // Sample the BSDF and go on
             let u = sampler.pair(Purpose::Direction).as_vec2();
@@ -278,6 +303,7 @@ impl World<'_> {
             }
             sampler = sampler.descend(1);
             ray = surface.leave(direction);
+            found = scattered.pdf;
             let step = self.step(&ray, &sampler);
             let end = step.first_distance();
             for lamp in self.lights.lamps_on(surface.position, direction) {
@@ -458,7 +484,8 @@ impl Look<'_> {
         if let Some(hit) = object {
             let survival = if mixture.is_finite() { (4.0 * power).clamp(0.05, 1.0) } else { 1.0 };
             if self.depth < world.technique.max_depth && next.one(Purpose::Roulette) < survival {
-                let sent = world.object_radiance(&ray, &hit, next.descend(3), self.depth + 1);
+                let sent =
+                    world.object_radiance(&ray, &hit, mixture, next.descend(3), self.depth + 1);
                 pair.delta += by_mixture * sent / survival;
             }
         }

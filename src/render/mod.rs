@@ -15,6 +15,7 @@ pub mod film;
 mod fit;
 pub mod fresnel;
 pub mod ggx;
+pub mod glow;
 pub mod guides;
 pub mod influence;
 pub mod job;

@@ -21,6 +21,7 @@ pub enum Purpose {
     Alpha = 7,
     Cells = 8,
     Lamp = 9,
+    Glow = 10,
 }
 
 /// Which numbers: stratified ones for pictures, independent ones where statistics are tested.

@@ -9,6 +9,7 @@ use glam::{DVec2, Vec2, Vec3};
 
 use super::albedo::AlbedoMap;
 use super::blocked::{CELLS, cells_pay};
+use super::glow::Glow;
 use super::sampler::{Purpose, Sampler};
 use super::skylight::Skylight;
 use super::surface::{LocalPoint, ObjectPoint, Surface};
@@ -47,6 +48,8 @@ pub struct World<'a> {
     pub plate: &'a Image<Rgb>,
     pub local: Accel,
     pub objects: Accel,
+    /// What of the objects shines.
+    pub glow: Glow,
     pub parts: Vec<PartBall>,
     pub albedo: AlbedoMap,
     pub skylight: Skylight,
@@ -101,6 +104,7 @@ impl<'a> World<'a> {
             local_masks: scene.has_alpha(Place::Local),
             object_masks: scene.has_alpha(Place::Object),
             coincident: COINCIDENT * size,
+            glow: Glow::new(scene),
             eye: (camera.pose.position() - scene.origin).as_vec3(),
             albedo: AlbedoMap::unknown(scene),
             skylight: Skylight::new(scene, lights),
