@@ -252,7 +252,7 @@ pub fn light(
     report.seen_share = seen_share(&panorama);
 
     let mut suns = judge_clipped(&mut panorama, around, &mut report, &mut warnings)?;
-    let room = Room { plan, scene: around.scene };
+    let room = Room { plan, scene: around.scene, local: around.local };
     let near = NearField::find(&room, &mut panorama, &mut suns);
     warnings.extend(near.warnings);
     let options = LightOptions {

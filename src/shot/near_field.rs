@@ -8,7 +8,7 @@ use glam::{DVec3, Vec3};
 
 use super::place;
 use super::plan::Plan;
-use super::probe_keys::{self, Surroundings};
+use super::probe_keys::Surroundings;
 use crate::light::near_field::{distant_error, is_near};
 use crate::light::{Disc, Lamp, NoLamp, Proxy, take_out_lamp};
 use crate::probe::Panorama;
@@ -39,6 +39,8 @@ const OPEN: f64 = 0.05;
 pub struct Room<'a> {
     pub plan: &'a Plan,
     pub scene: &'a Scene,
+    /// Built over the meshes of `scene.local`, in their order.
+    pub local: &'a Accel,
 }
 
 impl NearField {
@@ -48,10 +50,8 @@ impl NearField {
         let mut near = Self::default();
         let reach = reach(room.plan, panorama.place);
         near.walls(room, panorama.place, reach);
-        let meshes: Vec<&Mesh> = room.scene.local.iter().map(|local| &local.mesh).collect();
-        let local = Accel::build(&meshes);
-        for (k, keys) in room.plan.shot.lamps.iter().enumerate() {
-            near.lamp(k, keys, room.scene, &local, panorama, suns, reach);
+        for k in 0..room.plan.shot.lamps.len() {
+            near.lamp(k, room, panorama, suns, reach);
         }
         near
     }
@@ -104,17 +104,15 @@ impl NearField {
         self.proxy = Some(proxy);
     }
 
-    #[allow(clippy::too_many_arguments)]
     fn lamp(
         &mut self,
         k: usize,
-        keys: &probe_keys::Lamp,
-        scene: &Scene,
-        local: &Accel,
+        room: &Room,
         panorama: &mut Panorama,
         suns: &mut Vec<(Disc, f64)>,
         reach: f64,
     ) {
+        let keys = room.plan.shot.lamps[k];
         let (key, at) = (format!("lamp[{k}]"), DVec3::from(keys.at));
         let distance = panorama.place.distance(at) - keys.radius;
         let error = distant_error(reach, distance);
@@ -129,7 +127,7 @@ impl NearField {
             self.warnings.push(far_enough(&key, &facts, error));
             return;
         }
-        let hidden = hides(local, scene, panorama.place, at, keys.radius);
+        let hidden = hides(room.local, room.scene, panorama.place, at, keys.radius);
         let taken =
             if hidden { Err(NoLamp::Unseen) } else { take_out_lamp(panorama, at, keys.radius) };
         let taken = match taken {
@@ -143,7 +141,7 @@ impl NearField {
             }
         };
         let lamp = Lamp {
-            centre: scene.from_world(at),
+            centre: room.scene.from_world(at),
             radius: keys.radius as f32,
             radiance: taken.radiance,
         };
@@ -151,7 +149,7 @@ impl NearField {
         if taken.off_rad > BESIDE * own {
             self.warnings.push(beside(&key, taken.off_rad, panorama.place.distance(at)));
         }
-        let lamp = with_suns(lamp, scene.from_world(panorama.place), suns);
+        let lamp = with_suns(lamp, room.scene.from_world(panorama.place), suns);
         report.treated = format!("put in its place: {facts}");
         report.radiance = lamp.radiance.as_dvec3().to_array();
         self.lamp_reports.push(report);
