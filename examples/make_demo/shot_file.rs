@@ -69,8 +69,15 @@ file = "props.glb"
              rotate = [0.0, {turn:.1}, 0.0]\nscale = {scale:.3}\n"
         );
     }
-    text + "\n[render]\nerror = 0.045                      # under a CPU minute; 0.01 asks for a clean picture\n"
+    text + RENDER
 }
+
+/// What the demo asks of the renderer.
+const RENDER: &str = r#"
+[render]
+error = 0.022                      # under a CPU minute; 0.01 asks for a clean picture
+denoise = "auto"
+"#;
 
 /// `at`, `facing` and `up` of a sheet: the centre of a tag's square, and of a board's corner grid.
 fn lying_at(sheet: &Sheet) -> String {
