@@ -241,6 +241,31 @@ fn a_white_metal_with_all_its_light_is_invisible_in_a_furnace() {
     }
 }
 
+/// Softened lobes reflect as much of a white sky as they did, to what the albedo's table is good for.
+#[test]
+fn softened_metal_and_plastic_reflect_as_much() {
+    for (name, bsdf, views) in [
+        ("mirror", metal(0.0), [0.2, 0.6, 1.0]),
+        ("metal", metal(0.06), [0.2, 0.6, 1.0]),
+        ("varnished", coated(metal(0.1), 0.02, 0.0), [0.2, 0.6, 1.0]),
+        // Along the surface Fresnel's curve is steep, and wide facets meet it at other angles.
+        ("plastic", plastic(0.02), [0.4, 0.6, 1.0]),
+    ] {
+        for mu in views {
+            let mean = |bsdf: Bsdf| {
+                const N: u32 = 40_000;
+                let weights = draws(bsdf, at(mu), N).flatten().map(|s| f64::from(s.weight.x));
+                weights.sum::<f64>() / f64::from(N)
+            };
+            let (own, soft) = (mean(bsdf), mean(bsdf.softened(at(mu), 0.25)));
+            assert!((soft / own - 1.0).abs() < 0.04, "{name} at {mu}: {own} → {soft}");
+        }
+    }
+    let glass = glass(0.0, 1.5, false);
+    assert_eq!(glass.softened(at(0.5), 0.25), glass);
+    assert_eq!(metal(0.5).softened(at(0.5), 0.25), metal(0.5));
+}
+
 /// A white metal given its light back departs from reciprocity by the quotient of its albedos at the
 /// two directions, and by no more: up to 1.13 at α = 0.05 (along the surface), 2 at α = 1.
 #[test]

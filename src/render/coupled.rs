@@ -27,6 +27,7 @@ use super::film::{Pair, Sample};
 use super::primary::Primary;
 use super::sampler::{Purpose, Sampler, to_f32};
 use super::surface::{Colouring, LocalPoint, Surface};
+use super::technique::WIDE_PDF;
 use super::waves::Estimator;
 use super::world::World;
 use crate::conventions::Rgb;
@@ -44,6 +45,20 @@ const CONE_SHARE: f32 = 0.5;
 
 /// See [`World::look_of_camera`].
 const WITHOUT_EVERY: f32 = 4.0;
+
+/// How a path came to an object.
+#[derive(Clone, Copy, Debug)]
+pub struct Arrival {
+    /// Density that the ray's direction was drawn with; +∞ if nothing else could have found it.
+    pub found: f32,
+    /// As of [`World::object_point`].
+    pub after_wide: bool,
+}
+
+impl Arrival {
+    /// The camera sees it.
+    const SEEN: Self = Self { found: f32::INFINITY, after_wide: false };
+}
 
 /// What is asked of a look.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -97,7 +112,7 @@ impl Estimator for Coupled<'_> {
         let step = self.world.camera_step(&ray, &sampler);
         if let Some(hit) = step.object {
             let radiance =
-                self.world.object_radiance(&ray, &hit, f32::INFINITY, sampler.descend(0), 0);
+                self.world.object_radiance(&ray, &hit, Arrival::SEEN, sampler.descend(0), 0);
             return Sample { coverage: 1.0, object: radiance, ..Sample::default() };
         }
         let Some(hit) = step.local else { return Sample::default() };
@@ -251,24 +266,23 @@ impl World<'_> {
         depth < self.technique.max_depth && depth + 1 < self.technique.max_object_depth
     }
 
-    /// Radiance in the world with objects that an object sends back along a ray, whose direction was
-    /// drawn with density `found`; +∞ if nothing else could have found it.
+    /// Radiance in the world with objects that an object sends back along a ray.
     pub fn object_radiance(
         &self,
         ray: &Ray,
         hit: &Hit,
-        found: f32,
+        arrival: Arrival,
         sampler: Sampler,
         depth: u32,
     ) -> Rgb {
         let mut ray = *ray;
         let mut hit = *hit;
-        let mut found = found;
+        let Arrival { mut found, mut after_wide } = arrival;
         let mut sampler = sampler;
         let mut radiance = Rgb::ZERO;
         let mut throughput = Rgb::ONE;
         for depth in depth..self.technique.max_object_depth {
-            let point = self.object_point(&ray, &hit);
+            let point = self.object_point(&ray, &hit, after_wide);
             if let Some(per_metre) = point.inside {
                 throughput *= per_metre.powf(hit.t);
             }
@@ -294,6 +308,7 @@ impl World<'_> {
                 break;
             }
             throughput *= scattered.weight;
+            after_wide |= scattered.pdf < WIDE_PDF;
             if depth >= ROULETTE_DEPTH {
                 let survival = throughput.max_element().clamp(0.05, 0.95);
                 if sampler.one(Purpose::Roulette) >= survival {
@@ -428,14 +443,14 @@ impl Look<'_> {
         let u = sampler.pair(Purpose::Direction).as_vec2();
         let choice = sampler.one(Purpose::Choice);
         let share = self.cones.share();
-        let (direction, value, mixture) = if choice < share {
+        let (direction, value, bsdf_pdf) = if choice < share {
             let Some(direction) = self.cones.sample(u, choice) else { return };
             let (value, bsdf_pdf) = surface.evaluate(direction);
-            (direction, value, self.mixture_pdf(bsdf_pdf, direction))
+            (direction, value, bsdf_pdf)
         } else if self.evenly {
             let direction = surface.to_world(even_hemisphere(u));
             let (value, bsdf_pdf) = surface.evaluate(direction);
-            (direction, value, self.mixture_pdf(bsdf_pdf, direction))
+            (direction, value, bsdf_pdf)
         } else {
             let choice = ((choice - share) / (1.0 - share)).clamp(0.0, 1.0 - f32::EPSILON / 2.0);
             let drawn = sample_clamped(&surface.bsdf, surface.wo, u, choice);
@@ -443,12 +458,13 @@ impl Look<'_> {
             let direction = surface.to_world(drawn.direction);
             if drawn.pdf.is_finite() {
                 let (value, bsdf_pdf) = surface.evaluate(direction);
-                (direction, value, self.mixture_pdf(bsdf_pdf, direction))
+                (direction, value, bsdf_pdf)
             } else {
                 // A mirror direction: only the BSDF finds it.
                 (direction, drawn.weight / (1.0 - share), f32::INFINITY)
             }
         };
+        let mixture = self.mixture_pdf(bsdf_pdf, direction);
         if value == Rgb::ZERO || mixture <= 0.0 {
             return;
         }
@@ -484,8 +500,9 @@ impl Look<'_> {
         if let Some(hit) = object {
             let survival = if mixture.is_finite() { (4.0 * power).clamp(0.05, 1.0) } else { 1.0 };
             if self.depth < world.technique.max_depth && next.one(Purpose::Roulette) < survival {
+                let arrival = Arrival { found: mixture, after_wide: bsdf_pdf < WIDE_PDF };
                 let sent =
-                    world.object_radiance(&ray, &hit, mixture, next.descend(3), self.depth + 1);
+                    world.object_radiance(&ray, &hit, arrival, next.descend(3), self.depth + 1);
                 pair.delta += by_mixture * sent / survival;
             }
         }

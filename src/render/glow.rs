@@ -131,7 +131,7 @@ impl World<'_> {
             return Rgb::ZERO;
         }
         let ray = Ray { t_max: hit.t * BEFORE, ..surface.leave(direction) };
-        let point = self.object_point(&ray, &hit);
+        let point = self.object_point(&ray, &hit, false);
         let there = self.scene.alpha(Place::Object, hit.mesh, hit.triangle, hit.u, hit.v);
         let on_the_way = point.inside.map_or(Rgb::ONE, |per_metre| per_metre.powf(hit.t));
         let sent = point.emitted * on_the_way * there;

@@ -213,7 +213,7 @@ fn look(world: &World, primary: &Primary, block: &Block) -> (Vec<Seen>, View) {
             if let Some(hit) = &step.object {
                 view.object = true;
                 seen.depth = hit.t * along;
-                seen.normal = world.object_point(&ray, hit).surface.normal();
+                seen.normal = world.object_point(&ray, hit, false).surface.normal();
             }
             seen
         })

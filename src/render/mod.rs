@@ -53,7 +53,7 @@ mod test_scenes;
 
 pub use job::{Job, Method, RenderError, integrator};
 pub use sampler::Numbers;
-pub use technique::{Blocked, Technique};
+pub use technique::{Blocked, Caustics, Technique};
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};

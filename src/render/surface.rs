@@ -173,6 +173,7 @@ fn bsdf_of(at: &SurfaceParameters, leaving: bool) -> Bsdf {
         eta: if leaving { 1.0 / at.ior } else { at.ior },
         thin: !at.solid,
         multiple_scattering: at.multiple_scattering,
+        facet_gain: 1.0,
         sheen: Sheen::new(at.sheen_colour, at.sheen_roughness).filter(|_| !leaving),
         coat: None,
     }

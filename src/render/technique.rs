@@ -10,6 +10,12 @@ use crate::light::Draws;
 /// Edges that a path among objects may have beyond [`MAX_DEPTH`], to get out of glass.
 const MORE_AMONG_OBJECTS: u32 = 5;
 
+/// Least GGX α of reflections by [`Caustics::Soft`].
+pub const SOFT_ALPHA: f32 = 0.25;
+/// A direction drawn with less than this density, per steradian, was scattered widely: by Lambert's
+/// law it is at most 1/π.
+pub const WIDE_PDF: f32 = 0.5;
+
 /// Choices of the coupled estimator.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Technique {
@@ -22,6 +28,7 @@ pub struct Technique {
     /// noise alone.
     pub evenly: bool,
     pub blocked: Blocked,
+    pub caustics: Caustics,
     /// Longest path in edges after the camera's first; shorter ones leave out light that is reflected
     /// more often.
     pub max_depth: u32,
@@ -47,6 +54,20 @@ pub enum Blocked {
     MedianCut(u32),
 }
 
+/// How reflections are treated that only a path finds which has been scattered widely before: the sun
+/// seen by the ground in a vase.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Caustics {
+    /// Reflecting lobes sharper than α = 0.25 are widened to that, with all their light. A focused
+    /// pattern comes out blurred, and no sample hits the sun by chance (path space regularisation,
+    /// Kaplanyan and Dachsbacher 2013, with a constant width).
+    #[default]
+    Soft,
+    /// As they are, found by chance.
+    Exact,
+}
+
 impl Default for Technique {
     fn default() -> Self {
         Self {
@@ -54,6 +75,7 @@ impl Default for Technique {
             cones: true,
             evenly: false,
             blocked: Blocked::Auto,
+            caustics: Caustics::Soft,
             max_depth: MAX_DEPTH,
             max_object_depth: MAX_DEPTH + MORE_AMONG_OBJECTS,
         }
@@ -76,6 +98,7 @@ impl Technique {
     pub fn is_unbiased(&self) -> bool {
         let Self { max_depth, max_object_depth, .. } = Self::default();
         let whole = self.max_depth >= max_depth && self.max_object_depth >= max_object_depth;
-        whole && !matches!(self.blocked, Blocked::Patches(_) | Blocked::MedianCut(_))
+        let same = whole && self.caustics == Caustics::default();
+        same && !matches!(self.blocked, Blocked::Patches(_) | Blocked::MedianCut(_))
     }
 }

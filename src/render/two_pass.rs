@@ -13,6 +13,7 @@ use super::film::{Pair, Sample};
 use super::primary::Primary;
 use super::sampler::{Purpose, Sampler, to_f32};
 use super::surface::{Colouring, LocalPoint, Surface};
+use super::technique::WIDE_PDF;
 use super::waves::Estimator;
 use super::world::{Step, World};
 use crate::conventions::Rgb;
@@ -46,7 +47,7 @@ impl Estimator for TwoPass<'_> {
         };
         let step = self.world.camera_step(&ray, &sampler);
         if let Some(hit) = step.object {
-            let point = self.world.object_point(&ray, &hit);
+            let point = self.world.object_point(&ray, &hit, false);
             let sent = point.emitted + self.radiance(point.surface, true, sampler.descend(0));
             return Sample { coverage: 1.0, object: sent, ..Sample::default() };
         }
@@ -67,6 +68,7 @@ impl TwoPass<'_> {
         let (mut surface, mut sampler) = (surface, sampler);
         let mut radiance = Rgb::ZERO;
         let mut throughput = Rgb::ONE;
+        let (mut after_wide, mut on_object) = (false, true);
         for depth in 0..MAX_DEPTH + 4 {
             for stratum in 0..world.lights.n_strata() {
                 radiance += throughput * self.lit(&surface, stratum, with, &sampler);
@@ -80,6 +82,7 @@ impl TwoPass<'_> {
                 break;
             }
             throughput *= drawn.weight;
+            after_wide = drawn.pdf < WIDE_PDF || after_wide && on_object;
             if depth > 3 {
                 let survival = throughput.max_element().clamp(0.05, 0.95);
                 if sampler.one(Purpose::Roulette) >= survival {
@@ -96,16 +99,16 @@ impl TwoPass<'_> {
                 radiance += throughput * lamp.radiance * drawn.weight_against(lamp.pdf);
             }
             if let Some(hit) = object {
-                let point = world.object_point(&ray, &hit);
+                let point = world.object_point(&ray, &hit, after_wide);
                 if let Some(per_metre) = point.inside {
                     throughput *= per_metre.powf(hit.t);
                 }
                 radiance += throughput * point.emitted;
-                surface = point.surface;
+                (surface, on_object) = (point.surface, true);
             } else if let Some(hit) = local {
                 let point = world.local_point(&ray, &hit);
                 throughput *= self.paint(&point, &sampler);
-                surface = point.surface;
+                (surface, on_object) = (point.surface, false);
             } else {
                 let (l, pdf) = world.lights.evaluate(from, direction);
                 radiance += throughput * l * drawn.weight_against(pdf);

@@ -13,7 +13,7 @@ use super::glow::Glow;
 use super::sampler::{Purpose, Sampler};
 use super::skylight::Skylight;
 use super::surface::{LocalPoint, ObjectPoint, Surface};
-use super::technique::{Blocked, Technique};
+use super::technique::{Blocked, Caustics, SOFT_ALPHA, Technique};
 use crate::camera::Camera;
 use crate::conventions::Rgb;
 use crate::light::{Cells, Draws, LightSet, Lights};
@@ -223,8 +223,15 @@ impl<'a> World<'a> {
         alpha >= 1.0 || alpha > 0.0 && own().one(Purpose::Alpha) < alpha
     }
 
-    pub fn object_point(&self, ray: &Ray, hit: &Hit) -> ObjectPoint {
-        ObjectPoint::new(self.scene, ray, hit)
+    /// A point of an object; `after_wide` if the path was scattered widely before it came here, see
+    /// [`Caustics`].
+    pub fn object_point(&self, ray: &Ray, hit: &Hit, after_wide: bool) -> ObjectPoint {
+        let mut point = ObjectPoint::new(self.scene, ray, hit);
+        if after_wide && self.technique.caustics == Caustics::Soft {
+            let Surface { bsdf, wo, .. } = &mut point.surface;
+            *bsdf = bsdf.softened(*wo, SOFT_ALPHA);
+        }
+        point
     }
 
     pub fn local_point(&self, ray: &Ray, hit: &Hit) -> LocalPoint {

@@ -16,6 +16,7 @@ use super::prepare::METHODS;
 use super::probe_keys::{Lamp, ProbeKeys, Surroundings};
 use super::stop::StopKeys;
 use crate::photo::{NamedColour, text};
+use crate::render::Caustics;
 
 /// The whole shot file.
 #[derive(Clone, Debug, Serialize)]
@@ -114,6 +115,7 @@ pub struct Render {
     /// "auto" or a method's name.
     pub method: String,
     pub denoise: DenoiseKeys,
+    pub caustics: Caustics,
     /// Whether rough surfaces get back what glTF's formula loses between their microfacets.
     pub multiple_scattering: bool,
 }
@@ -268,6 +270,7 @@ fn read_root(root: &Keys, path: &Path, folder: &Path) -> Option<ShotFile> {
                 stop: StopKeys::default(),
                 method: "auto".to_owned(),
                 denoise: DenoiseKeys::default(),
+                caustics: Caustics::default(),
                 multiple_scattering: false,
             })
         },
@@ -388,16 +391,19 @@ fn read_object(keys: &Keys, folder: &Path) -> Option<Object> {
     Some(Object { file: file?, at, rotate, scale })
 }
 
-const RENDER: &[&str] = &["error", "time", "samples", "method", "denoise", "multiple_scattering"];
+const RENDER: &[&str] =
+    &["error", "time", "samples", "method", "denoise", "caustics", "multiple_scattering"];
 
 fn read_render(keys: &Keys) -> Option<Render> {
     let method = keys.choice("method", &METHODS.map(|(name, _)| (name, name)));
     let method = method.unwrap_or("auto").to_owned();
     let denoise = keys.choice("denoise", &[("off", DenoiseKeys::Off), ("auto", DenoiseKeys::Auto)]);
+    let caustics = keys.choice("caustics", &[("soft", Caustics::Soft), ("exact", Caustics::Exact)]);
     Some(Render {
         stop: StopKeys::read(keys)?,
         method,
         denoise: denoise.unwrap_or_default(),
+        caustics: caustics.unwrap_or_default(),
         multiple_scattering: keys.flag("multiple_scattering").unwrap_or(false),
     })
 }

@@ -258,7 +258,7 @@ fn render_shot(
         numbers: Numbers::default(),
         least_step: plan.plate.least_step(),
         denoise: plan.shot.render.denoise == DenoiseKeys::Auto,
-        technique: Technique::default(),
+        technique: Technique { caustics: plan.shot.render.caustics, ..Technique::default() },
     };
     let mut integrator = render::integrator(prepared.method, job)?;
     let mode = mode(plan).0;
