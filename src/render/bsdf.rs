@@ -108,7 +108,8 @@ impl Bsdf {
     }
 
     /// The same seen along `wo` with no lobe sharper than `least`, reflecting as much of a white sky:
-    /// within 4 %, but for plastic seen along its surface, which reflects up to a fifth less.
+    /// within 4 %, but for plastic and varnish seen along their surface, which reflect up to a fifth
+    /// less.
     ///
     /// Glass stays what it is: a blurred boundary would lose light inside.
     pub fn softened(mut self, wo: Vec3, least: f32) -> Self {

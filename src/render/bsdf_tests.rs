@@ -247,8 +247,8 @@ fn softened_metal_and_plastic_reflect_as_much() {
     for (name, bsdf, views) in [
         ("mirror", metal(0.0), [0.2, 0.6, 1.0]),
         ("metal", metal(0.06), [0.2, 0.6, 1.0]),
-        ("varnished", coated(metal(0.1), 0.02, 0.0), [0.2, 0.6, 1.0]),
         // Along the surface Fresnel's curve is steep, and wide facets meet it at other angles.
+        ("varnished", coated(metal(0.1), 0.02, 0.0), [0.4, 0.6, 1.0]),
         ("plastic", plastic(0.02), [0.4, 0.6, 1.0]),
     ] {
         for mu in views {

@@ -57,7 +57,7 @@ pub struct Arrival {
 
 impl Arrival {
     /// The camera sees it.
-    const SEEN: Self = Self { found: f32::INFINITY, after_wide: false };
+    pub const SEEN: Self = Self { found: f32::INFINITY, after_wide: false };
 }
 
 /// What is asked of a look.

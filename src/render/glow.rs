@@ -183,6 +183,7 @@ mod tests {
     use super::*;
     use crate::photo::Image;
     use crate::render::Numbers;
+    use crate::render::coupled::Arrival;
     use crate::render::coupled::Want;
     use crate::render::test_scenes::*;
     use crate::scene::AlbedoSource;
@@ -283,7 +284,7 @@ mod tests {
         };
         [
             measure(&|s| world.look(&ground, Want::Difference, 1.0, s, 0).delta.x),
-            measure(&|s| world.object_radiance(&at, &ball, f32::INFINITY, s, 0).x),
+            measure(&|s| world.object_radiance(&at, &ball, Arrival::SEEN, s, 0).x),
         ]
     }
 
