@@ -147,7 +147,7 @@ fn g23_an_object_around_the_camera_fills_the_frame() {
     let d = render(&scene, &uniform_sky(1.0), &camera, &plate, COUPLED, 16, 3);
     // In a closed ball without a lamp it is dark: nothing of the plate's light is left on the ground.
     assert!(d.coverage.pixels().iter().all(|&c| (0.0..=1.0).contains(&c)));
-    assert!(d.coverage.pixels().iter().any(|&c| c == 1.0), "beyond the ground there is the ball");
+    assert!(d.coverage.pixels().contains(&1.0), "beyond the ground there is the ball");
     assert!(d.object.pixels().iter().chain(d.ratio.pixels()).all(|p| p.is_finite()));
     let ground = d.coverage.pixels().iter().position(|&c| c == 0.0).expect("the ground is seen");
     let left = 1.0 + d.ratio.pixels()[ground];
