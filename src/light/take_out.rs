@@ -110,20 +110,32 @@ pub enum NoLamp {
 /// A lamp's mean radiance exceeds its surroundings by this share of them at least.
 const HOT_SHARE: f32 = 0.1;
 
+/// Tape, pose and rim together put a lamp no farther beside its place than this, radians: 3°.
+const ASTRAY_RAD: f64 = 0.052;
+
 /// Takes the lamp of `radius` (m) at `at` (world) out of the panorama.
 ///
-/// Its cone is cleared half as wide again and two texels more: the tape errs, and blooming and the
-/// resampler spread a lamp over its neighbours.
-pub fn take_out_lamp(panorama: &mut Panorama, at: DVec3, radius: f64) -> Result<TakenLamp, NoLamp> {
+/// It is looked for within 3° of its place and the parallax of a probe of `probe_radius` (m), which
+/// sees it from its surface. Its cone is cleared half as wide again and two texels more: blooming and
+/// the resampler spread a lamp over its neighbours.
+pub fn take_out_lamp(
+    panorama: &mut Panorama,
+    at: DVec3,
+    radius: f64,
+    probe_radius: f64,
+) -> Result<TakenLamp, NoLamp> {
     let to = at - panorama.place;
     let sin = radius / to.length();
     if !(sin < 1.0) {
         return Err(NoLamp::Inside);
     }
     let texel = 2.0 * PI / panorama.width() as f64;
+    let own = sin.asin() + texel;
     let half_angle = 1.5 * sin.asin() + 2.0 * texel;
     let direction = to.normalize();
-    let spot = Spot::look(panorama, direction, half_angle).ok_or(NoLamp::Unseen)?;
+    let parallax = (probe_radius / to.length()).min(1.0).asin();
+    let shown = brightest_disc(panorama, direction, own, ASTRAY_RAD + parallax);
+    let spot = Spot::look(panorama, shown, half_angle).ok_or(NoLamp::Unseen)?;
     if spot.seen < 0.5 {
         return Err(NoLamp::Unseen);
     }
@@ -136,6 +148,47 @@ pub fn take_out_lamp(panorama: &mut Panorama, at: DVec3, radius: f64) -> Result<
     }
     spot.fill(panorama);
     Ok(TakenLamp { radiance, off_rad: spot.direction.angle_between(direction) })
+}
+
+/// Middle of the brightest disc of half angle `own` that begins within `search` of `direction`, radians.
+fn brightest_disc(panorama: &Panorama, direction: DVec3, own: f64, search: f64) -> DVec3 {
+    /// Discs that are tried, about; then the best one moves to the middle of its light.
+    const TRIED: usize = 1000;
+    const MOVES: usize = 5;
+    let mut texels: Vec<(DVec3, f64)> = Vec::new();
+    for y in 0..panorama.height() {
+        for x in 0..panorama.width() {
+            let texel = panorama.direction(x, y);
+            if texel.angle_between(direction) < search + 2.5 * own {
+                let l = f64::from(luminance(panorama.radiance[(x, y)]));
+                texels.push((texel, l * panorama.solid_angle(y)));
+            }
+        }
+    }
+    let within = |middle: DVec3, angle: f64| {
+        let cos = angle.cos();
+        texels.iter().filter(move |(texel, _)| texel.dot(middle) > cos)
+    };
+    let flux = |middle: DVec3| within(middle, own).map(|(_, flux)| flux).sum::<f64>();
+    let places: Vec<DVec3> = within(direction, search).map(|(texel, _)| *texel).collect();
+    let tried = places.iter().step_by(places.len().div_ceil(TRIED).max(1));
+    // Its own place wins where nothing is brighter.
+    let mut best = (direction, 1.01 * flux(direction));
+    for &place in tried {
+        let found = flux(place);
+        if found > best.1 {
+            best = (place, found);
+        }
+    }
+    let mut middle = best.0;
+    for _ in 0..MOVES {
+        // What lies under the disc's mean is no part of the lamp.
+        let all: Vec<_> = within(middle, 1.5 * own).collect();
+        let mean = all.iter().map(|(_, flux)| flux).sum::<f64>() / all.len().max(1) as f64;
+        let centroid: DVec3 = all.iter().map(|(texel, flux)| *texel * (flux - mean).max(0.0)).sum();
+        middle = centroid.try_normalize().unwrap_or(middle);
+    }
+    middle
 }
 
 #[cfg(test)]
@@ -182,7 +235,7 @@ mod tests {
         let (at, radius) = (DVec3::new(0.74, 0.3, -0.2), 0.05);
         let mut panorama = with_lamp(at, radius, Rgb::new(95.0, 58.0, 27.0));
         let before = Lights::new(&panorama, &LightOptions::default()).unwrap();
-        let taken = take_out_lamp(&mut panorama, at, radius).unwrap();
+        let taken = take_out_lamp(&mut panorama, at, radius, 0.0).unwrap();
         assert!((taken.radiance / Rgb::new(95.0, 58.0, 27.0) - 1.0).abs().max_element() < 5e-3);
         assert!(taken.off_rad < 1e-3, "{taken:?}");
         let lamp = Lamp { centre: at.as_vec3(), radius: radius as f32, radiance: taken.radiance };
@@ -195,16 +248,30 @@ mod tests {
     }
 
     #[test]
+    fn a_lamp_that_shows_beside_its_place_is_found_whole() {
+        let (at, radius) = (DVec3::new(0.74, 0.3, -0.2), 0.05);
+        let mut panorama = with_lamp(at, radius, Rgb::new(95.0, 58.0, 27.0));
+        // 6 cm of ball see it up to 4.5° away, and the tape erred by 2 cm.
+        let said = at + DVec3::new(0.02, -0.05, 0.03);
+        let taken = take_out_lamp(&mut panorama, said, radius, 0.06).unwrap();
+        let off = (at - panorama.place).angle_between(said - panorama.place);
+        assert!(off > 0.06 && (taken.off_rad - off).abs() < 2e-3, "{} for {off}", taken.off_rad);
+        let rest = Rgb::new(0.5, 0.4, 0.3);
+        let left = panorama.radiance.pixels().iter().map(|l| (*l - rest).abs().max_element());
+        assert!(left.fold(0.0, f32::max) < 1e-5, "some of the lamp is left");
+    }
+
+    #[test]
     fn lamps_that_show_nothing_stay_where_they_are() {
         let at = DVec3::new(0.74, 0.3, -0.2);
         let mut panorama = with_lamp(at, 0.05, Rgb::splat(0.01));
         let untouched = panorama.radiance.clone();
-        let off = take_out_lamp(&mut panorama, at, 0.05);
+        let off = take_out_lamp(&mut panorama, at, 0.05, 0.0);
         assert!(matches!(off, Err(NoLamp::NotHot { .. })), "{off:?}");
-        let around = take_out_lamp(&mut panorama, DVec3::ZERO, 0.1);
+        let around = take_out_lamp(&mut panorama, DVec3::ZERO, 0.1, 0.0);
         assert_eq!(around.unwrap_err(), NoLamp::Inside);
         panorama.coverage = Image::filled(1024, 512, 0.2);
-        assert_eq!(take_out_lamp(&mut panorama, at, 0.05).unwrap_err(), NoLamp::Unseen);
+        assert_eq!(take_out_lamp(&mut panorama, at, 0.05, 0.0).unwrap_err(), NoLamp::Unseen);
         assert_eq!(panorama.radiance.pixels(), untouched.pixels());
     }
 }

@@ -231,6 +231,8 @@ pub struct LampReport {
     /// Mean over its disc above its surroundings, in the plate's linear scale; 0 if it stays in the
     /// panorama.
     pub radiance: [f64; 3],
+    /// Angle between where it should be seen and where the panorama shows it.
+    pub beside_deg: f64,
     /// What was done with it, and why.
     pub treated: String,
 }

@@ -8,7 +8,7 @@ use glam::{DVec3, Vec3};
 
 use super::place;
 use super::plan::Plan;
-use super::probe_keys::Surroundings;
+use super::probe_keys::{ProbeSource, Surroundings};
 use crate::light::near_field::{distant_error, is_near};
 use crate::light::{Disc, Lamp, NoLamp, Proxy, take_out_lamp};
 use crate::probe::Panorama;
@@ -30,7 +30,8 @@ pub struct NearField {
     pub distant_error: Option<f64>,
 }
 
-/// A lamp seen this far beside its place, relative to the angle of its radius, was measured badly.
+/// A lamp seen farther beside its place than this share of its radius, and than a mirror ball's own
+/// parallax, was measured badly.
 const BESIDE: f64 = 0.5;
 /// More of the sphere than this behind the walls' holes is worth a word.
 const OPEN: f64 = 0.05;
@@ -128,8 +129,12 @@ impl NearField {
             return;
         }
         let hidden = hides(room.local, room.scene, panorama.place, at, keys.radius);
-        let taken =
-            if hidden { Err(NoLamp::Unseen) } else { take_out_lamp(panorama, at, keys.radius) };
+        let probe_radius = probe_radius(room.plan);
+        let taken = if hidden {
+            Err(NoLamp::Unseen)
+        } else {
+            take_out_lamp(panorama, at, keys.radius, probe_radius)
+        };
         let taken = match taken {
             Ok(taken) => taken,
             Err(why) => {
@@ -145,9 +150,10 @@ impl NearField {
             radius: keys.radius as f32,
             radiance: taken.radiance,
         };
-        let own = (keys.radius / panorama.place.distance(at)).asin();
-        if taken.off_rad > BESIDE * own {
-            self.warnings.push(beside(&key, taken.off_rad, panorama.place.distance(at)));
+        let away = panorama.place.distance(at);
+        report.beside_deg = taken.off_rad.to_degrees();
+        if taken.off_rad > (BESIDE * keys.radius + probe_radius) / away {
+            self.warnings.push(beside(&key, taken.off_rad, away));
         }
         let lamp = with_suns(lamp, room.scene.from_world(panorama.place), suns);
         report.treated = format!("put in its place: {facts}");
@@ -217,7 +223,7 @@ fn beside(key: &str, off_rad: f64, distance: f64) -> Warning {
         key,
         format!(
             "the panorama shows this lamp {:.1}° beside where it should be; measure its place again, \
-             or the probe's",
+             or the probe's, and look at the rim in overlay_ball.png",
             off_rad.to_degrees()
         ),
         format!(
@@ -276,6 +282,14 @@ fn meshes(model: &Model, scene: &Scene) -> Vec<Mesh> {
         ..Mesh::default()
     });
     placed.collect()
+}
+
+/// How far from its middle a probe sees: a ball mirrors at its surface.
+fn probe_radius(plan: &Plan) -> f64 {
+    match &plan.shot.probe.source {
+        ProbeSource::Ball(ball) => ball.radius,
+        ProbeSource::Fisheye(_) | ProbeSource::Panorama(_) => 0.0,
+    }
 }
 
 /// Largest distance from the probe to a corner of the objects' box, metres; 0 without objects.
