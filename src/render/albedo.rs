@@ -53,8 +53,12 @@ impl AlbedoMap {
         Self { step: 1, columns: 0, nodes: Vec::new(), means }
     }
 
-    /// Solves on a grid. A coarse round first finds the mean albedos that hidden surfaces need.
+    /// Solves on a grid, unless it is solved. A coarse round first finds the mean albedos that hidden
+    /// surfaces need.
     pub fn solve(world: &mut World, primary: &Primary, context: &Context) {
+        if !world.albedo.nodes.is_empty() {
+            return;
+        }
         let pixels = world.plate.width() * world.plate.height();
         let step = ((pixels as f64 / NODES as f64).sqrt().ceil() as usize).max(1);
         for (step, samples) in [(4 * step, SAMPLES / 4), (step, SAMPLES)] {

@@ -1,13 +1,14 @@
 //! What is to be rendered, checked before any work, and the integrators that can do it.
 
+use super::albedo::AlbedoMap;
 use super::coupled::Coupled;
 use super::primary::Primary;
 use super::sampler::Numbers;
 use super::technique::Technique;
 use super::two_pass::TwoPass;
 use super::waves::Waves;
-use super::world::World;
-use super::{Integrator, Stop};
+use super::world::{Groundwork, World};
+use super::{Context, Integrator, Stop};
 use crate::camera::Camera;
 use crate::conventions::Rgb;
 use crate::light::Lights;
@@ -117,6 +118,17 @@ impl<'a> Job<'a> {
     }
 }
 
+/// What a job has to know before its first sample, to be shared by jobs of the same scene, lights,
+/// camera and plate.
+pub fn groundwork(job: &Job, context: &Context) -> Result<Groundwork, RenderError> {
+    job.validate()?;
+    let mut world = World::new(job.scene, job.lights, job.camera, job.plate);
+    let primary = Primary::new(job.camera, world.eye);
+    AlbedoMap::solve(&mut world, &primary, context);
+    let World { albedo, skylight, cells, .. } = world;
+    Ok(Groundwork { albedo, skylight, cells })
+}
+
 /// The integrator of a method for a job, ready for its first wave.
 ///
 /// Builds the acceleration structures and integrates the lights over the local surfaces' skies; the
@@ -125,13 +137,24 @@ pub fn integrator<'a>(
     method: Method,
     job: Job<'a>,
 ) -> Result<Box<dyn Integrator + Send + 'a>, RenderError> {
+    integrator_on(None, method, job)
+}
+
+/// As [`integrator`], with what is known of the job already.
+pub fn integrator_on<'a>(
+    groundwork: Option<&Groundwork>,
+    method: Method,
+    job: Job<'a>,
+) -> Result<Box<dyn Integrator + Send + 'a>, RenderError> {
     job.validate()?;
-    let world = World::new(job.scene, job.lights, job.camera, job.plate);
-    let world = if job.technique == Technique::default() {
-        world
-    } else {
-        world.with_technique(job.technique)
+    let Job { scene, lights, camera, plate, .. } = job;
+    let mut world = match groundwork {
+        Some(known) => World::on(known.clone(), scene, lights, camera, plate),
+        None => World::new(scene, lights, camera, plate),
     };
+    if job.technique != Technique::default() {
+        world = world.with_technique(job.technique);
+    }
     let primary = Primary::new(job.camera, world.eye);
     Ok(match method {
         Method::Coupled => Box::new(Waves::new(Coupled { world, primary }, &job)),

@@ -7,6 +7,7 @@ pub mod albedo;
 pub mod blocked;
 pub mod bsdf;
 pub mod coat;
+pub mod compare;
 pub mod cones;
 pub mod coupled;
 pub mod denoise;
@@ -51,7 +52,7 @@ mod technique_tests;
 #[cfg(test)]
 mod test_scenes;
 
-pub use job::{Job, Method, RenderError, integrator};
+pub use job::{Job, Method, RenderError, groundwork, integrator, integrator_on};
 pub use sampler::Numbers;
 pub use technique::{Blocked, Caustics, Technique};
 

@@ -8,11 +8,11 @@ use crate::conventions::Rgb;
 use crate::photo::Image;
 
 /// A pixel belongs to the influence region if the objects change it by more than this.
-const INFLUENCE: f64 = 0.01;
+pub(super) const INFLUENCE: f64 = 0.01;
 /// Share of the influenced pixels that the pooled error leaves out: a caustic found by chance has no
 /// variance that more samples of its own kind would bring down, and must not take all the work.
 /// They are counted, and the standard error delivered for them stays what it is.
-const HEAVY_TAIL: f64 = 0.02;
+pub(super) const HEAVY_TAIL: f64 = 0.02;
 /// A pixel left out is told of if its variance is this many times the others' mean.
 const OUTLIER: f64 = 25.0;
 /// Samples of a pixel between two looks at the clock. A sample costs microseconds in most scenes and

@@ -4,6 +4,7 @@
 //! Points are relative to the scene's origin.
 
 use std::borrow::Cow;
+use std::sync::Arc;
 
 use glam::{DVec2, Vec2, Vec3};
 
@@ -38,7 +39,7 @@ pub struct World<'a> {
     pub scene: &'a Scene,
     pub lights: Cow<'a, Lights>,
     /// The same lights, to draw what objects block of them.
-    pub cells: Cells,
+    pub cells: Arc<Cells>,
     /// True if blocked light is drawn from cells: see [`blocked`](super::blocked).
     pub by_cells: bool,
     /// Where light is blocked as if it came from these directions alone.
@@ -81,6 +82,14 @@ impl Step {
     }
 }
 
+/// What takes long to find out about a scene, and is the same for every estimator.
+#[derive(Clone, Debug)]
+pub struct Groundwork {
+    pub albedo: AlbedoMap,
+    pub skylight: Skylight,
+    pub cells: Arc<Cells>,
+}
+
 impl<'a> World<'a> {
     pub fn new(
         scene: &'a Scene,
@@ -88,6 +97,23 @@ impl<'a> World<'a> {
         camera: &'a Camera,
         plate: &'a Image<Rgb>,
     ) -> Self {
+        let groundwork = Groundwork {
+            albedo: AlbedoMap::unknown(scene),
+            skylight: Skylight::new(scene, lights),
+            cells: Arc::new(Cells::new(lights, CELLS)),
+        };
+        Self::on(groundwork, scene, lights, camera, plate)
+    }
+
+    /// As [`new`](Self::new), with what is known of the same scene, lights, camera and plate.
+    pub fn on(
+        groundwork: Groundwork,
+        scene: &'a Scene,
+        lights: &'a Lights,
+        camera: &'a Camera,
+        plate: &'a Image<Rgb>,
+    ) -> Self {
+        let Groundwork { albedo, skylight, cells } = groundwork;
         let local_meshes: Vec<&Mesh> = scene.local.iter().map(|l| &l.mesh).collect();
         let object_meshes: Vec<&Mesh> = scene.objects.iter().collect();
         let (local, objects) = (Accel::build(&local_meshes), Accel::build(&object_meshes));
@@ -96,7 +122,6 @@ impl<'a> World<'a> {
             .iter()
             .map(|b| PartBall { centre: b.centre(), radius: b.radius() * (1.0 + 1e-5) })
             .collect();
-        let cells = Cells::new(lights, CELLS);
         let size = if objects.is_empty() { local.bounds() } else { objects.bounds() }.diameter();
         Self {
             flat: is_flat(&local_meshes),
@@ -106,8 +131,8 @@ impl<'a> World<'a> {
             coincident: COINCIDENT * size,
             glow: Glow::new(scene),
             eye: (camera.pose.position() - scene.origin).as_vec3(),
-            albedo: AlbedoMap::unknown(scene),
-            skylight: Skylight::new(scene, lights),
+            albedo,
+            skylight,
             by_cells: cells_pay(lights, &cells),
             light_set: None,
             technique: Technique::default(),

@@ -1,0 +1,165 @@
+//! One rendering of a job held against a better one: how wrong it is where the objects change the plate.
+//!
+//! Error and influence region are those of the stopping rule (`film`, `tile`): the finished pixel's
+//! error relative to the brighter of plate and finished pixel, over the pixels that objects cover or
+//! change by more than 1 %, without the 2 % of them that the better rendering itself knows worst.
+
+use super::Difference;
+use super::tile::{HEAVY_TAIL, INFLUENCE};
+use super::waves::error_floor;
+use crate::conventions::{Rgb, luminance};
+use crate::photo::Image;
+
+/// The pixels that count, with what a good rendering makes of them.
+#[derive(Clone, Debug)]
+pub struct Region {
+    pixels: Vec<Pixel>,
+    /// The reference's own standard error, root mean square over the region.
+    pub own_error: f64,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Pixel {
+    at: (usize, usize),
+    plate: Rgb,
+    finished: Rgb,
+    brightness: f32,
+    covered: bool,
+    own_variance: f64,
+}
+
+/// How far a rendering is from the reference.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Comparison {
+    /// Root mean square over the region, the reference's own error taken out. 0 where it is smaller
+    /// than the reference can tell.
+    pub error: f64,
+    /// The same over the pixels that objects cover by half, and over the others; 0 of none.
+    pub on_objects: f64,
+    pub beside: f64,
+    /// Mean signed difference over the region: above 0 if the rendering is too bright.
+    pub bias: f64,
+    /// Standard error of `bias` if pixels err independently of each other.
+    pub bias_sigma: f64,
+}
+
+impl Region {
+    /// The influence region as `reference` shows it; `None` if the objects change nothing.
+    pub fn new(reference: &Difference, plate: &Image<Rgb>) -> Option<Self> {
+        let floor = error_floor(plate);
+        let mut pixels = Vec::new();
+        for y in 0..plate.height() {
+            for x in 0..plate.width() {
+                let at = (x, y);
+                let finished = finished(reference, plate[at], at);
+                let (before, after) = (luminance(plate[at]), luminance(finished));
+                let brightness = before.max(after).max(floor);
+                let changed = f64::from((after - before).abs() / brightness) > INFLUENCE;
+                if reference.samples[at] > 0 && (changed || reference.coverage[at] > 0.0) {
+                    let own = f64::from(luminance(reference.stderr[at]) / brightness);
+                    pixels.push(Pixel {
+                        at,
+                        plate: plate[at],
+                        finished,
+                        brightness,
+                        covered: reference.coverage[at] > 0.5,
+                        own_variance: own * own,
+                    });
+                }
+            }
+        }
+        pixels.sort_by(|a, b| a.own_variance.total_cmp(&b.own_variance));
+        pixels.truncate(pixels.len() - (HEAVY_TAIL * pixels.len() as f64) as usize);
+        let variance: f64 = pixels.iter().map(|p| p.own_variance).sum();
+        let n = pixels.len() as f64;
+        (!pixels.is_empty()).then(|| Self { own_error: (variance / n).sqrt(), pixels })
+    }
+
+    /// Pixels that count.
+    pub fn n_pixels(&self) -> usize {
+        self.pixels.len()
+    }
+
+    /// Column, row and relative change of every pixel that counts.
+    pub fn changes(&self) -> impl Iterator<Item = ((usize, usize), f32)> {
+        let change = |p: &Pixel| luminance((p.finished - p.plate).abs()) / p.brightness;
+        self.pixels.iter().map(move |p| (p.at, change(p)))
+    }
+
+    /// How far `rendering`, of the same job, is from the reference.
+    pub fn compare(&self, rendering: &Difference) -> Comparison {
+        // Squares less the reference's own, and pixels: beside the objects and on them
+        let mut parts = [(0.0, 0.0); 2];
+        let (mut sum, mut signed_squares) = (0.0, 0.0);
+        for pixel in &self.pixels {
+            let off = finished(rendering, pixel.plate, pixel.at) - pixel.finished;
+            // Channels of one path are strongly correlated: their errors add.
+            let size = f64::from(luminance(off.abs()) / pixel.brightness);
+            let signed = f64::from(luminance(off) / pixel.brightness);
+            let (squares, n) = &mut parts[usize::from(pixel.covered)];
+            *squares += size * size - pixel.own_variance;
+            *n += 1.0;
+            sum += signed;
+            signed_squares += signed * signed;
+        }
+        let root = |(squares, n): (f64, f64)| (squares.max(0.0) / n.max(1.0)).sqrt();
+        let [beside, covered] = parts;
+        let n = self.pixels.len() as f64;
+        Comparison {
+            error: root((beside.0 + covered.0, n)),
+            on_objects: root(covered),
+            beside: root(beside),
+            bias: sum / n,
+            bias_sigma: signed_squares.sqrt() / n,
+        }
+    }
+}
+
+fn finished(difference: &Difference, plate: Rgb, at: (usize, usize)) -> Rgb {
+    difference.object[at] + plate * (1.0 - difference.coverage[at]) + difference.difference[at]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A shadow of half the light over the left half of a grey picture.
+    fn reference() -> (Difference, Image<Rgb>) {
+        let plate = Image::filled(40, 20, Rgb::splat(0.5));
+        let mut difference = Difference::nothing(40, 20);
+        for y in 0..20 {
+            for x in 0..20 {
+                difference.difference[(x, y)] = Rgb::splat(-0.25);
+                difference.stderr[(x, y)] = Rgb::splat(0.005);
+                difference.samples[(x, y)] = 64;
+            }
+        }
+        (difference, plate)
+    }
+
+    #[test]
+    fn the_region_is_what_changes_without_the_worst_known() {
+        let (difference, plate) = reference();
+        let region = Region::new(&difference, &plate).unwrap();
+        assert_eq!(region.n_pixels(), 400 - 8);
+        assert!((region.own_error - 0.01).abs() < 1e-7);
+        assert!(region.changes().all(|((x, _), change)| x < 20 && (change - 0.5).abs() < 1e-6));
+        assert!(Region::new(&Difference::nothing(40, 20), &plate).is_none());
+    }
+
+    #[test]
+    fn error_and_bias_are_told_apart() {
+        let (difference, plate) = reference();
+        let region = Region::new(&difference, &plate).unwrap();
+        let mut off = difference.clone();
+        for (k, d) in off.difference.pixels_mut().iter_mut().enumerate() {
+            *d += Rgb::splat(0.01 + if k % 2 == 0 { 0.02 } else { -0.02 });
+        }
+        let found = region.compare(&off);
+        // √(0.02² + 0.04² − 0.01²): bias, scatter, and what the reference itself may be off.
+        assert!((found.error - 0.0019_f64.sqrt()).abs() < 1e-6, "{found:?}");
+        assert!((found.bias - 0.02).abs() < 1e-4, "{found:?}");
+        assert!(found.on_objects == 0.0 && found.beside == found.error, "{found:?}");
+        assert_eq!(region.compare(&difference).error, 0.0);
+    }
+}
