@@ -12,8 +12,11 @@ use crate::photo::{Image, Photo, Samples, Transfer};
 /// 8-bit sRGB.
 pub type Colour = [u8; 3];
 
-/// What is drawn round lines and letters.
+/// What is drawn round lines and letters, and what paper is.
 const RIM: Colour = [0, 0, 0];
+const PAPER: Colour = [255, 255, 255];
+/// Pixels of a letter's cell on paper.
+const PAPER_CELL: usize = 2;
 
 /// A picture that is drawn on. Points are in pixels, the centre of the top-left pixel is (0, 0).
 #[derive(Clone, Debug)]
@@ -21,9 +24,19 @@ pub struct Canvas {
     width: usize,
     height: usize,
     data: Vec<u8>,
+    /// What is drawn round lines and letters.
+    rim: Colour,
+    /// Pixels of a letter's cell, across and down.
+    cell: usize,
 }
 
 impl Canvas {
+    /// White paper. Letters are 10 × 14 px, with 2 px between them.
+    pub fn paper(width: usize, height: usize) -> Self {
+        let data = vec![u8::MAX; 3 * width * height];
+        Self { width, height, data, rim: PAPER, cell: PAPER_CELL }
+    }
+
     /// The picture in sRGB; light above white is clipped.
     pub fn new(linear: &Image<Rgb>) -> Self {
         Self::encoded(linear, |l| srgb_encode(l.max(0.0)))
@@ -40,7 +53,9 @@ impl Canvas {
     fn encoded(linear: &Image<Rgb>, encode: impl Fn(f32) -> f32) -> Self {
         let code = |l: f32| (encode(l).clamp(0.0, 1.0) * 255.0).round() as u8;
         let data = linear.pixels().iter().flat_map(|l| l.to_array().map(&code)).collect();
-        Self { width: linear.width(), height: linear.height(), data }
+        let (width, height) = (linear.width(), linear.height());
+        // Letters stay legible when a 6000 px picture is looked at in a browser.
+        Self { width, height, data, rim: RIM, cell: (width.max(height) / 500).max(1) }
     }
 
     /// A line between two points, with a dark rim that lets it be seen on any ground. Points that are not
@@ -95,8 +110,38 @@ impl Canvas {
     /// Lines through points; a gap where a point is missing.
     pub fn path(&mut self, points: &[Option<DVec2>], colour: Colour) {
         let half = self.half_width();
-        self.stroke(points, RIM, 2.0 * half, 0.5);
+        self.stroke(points, self.rim, 2.0 * half, 0.5);
         self.stroke(points, colour, half, 1.0);
+    }
+
+    /// A line of `width` px through points, without a rim.
+    pub fn stroke_line(&mut self, points: &[DVec2], colour: Colour, width: f64) {
+        let points: Vec<_> = points.iter().copied().map(Some).collect();
+        self.stroke(&points, colour, 0.5 * width - 0.5, 1.0);
+    }
+
+    /// A filled circle.
+    pub fn disc(&mut self, centre: DVec2, radius: f64, colour: Colour) {
+        self.stroke(&[Some(centre), Some(centre)], colour, radius, 1.0);
+    }
+
+    /// A circle of 2 px.
+    pub fn ring(&mut self, centre: DVec2, radius: f64, colour: Colour) {
+        self.stroke_line(&around(centre, radius), colour, 2.0);
+    }
+
+    /// A display-linear picture with its upper left pixel at (x, y), each of its pixels a square of
+    /// `times` px. What does not fit is cut.
+    pub fn paste(&mut self, (x, y): (usize, usize), picture: &Image<Rgb>, times: usize) {
+        let times = times.max(1);
+        for row in y..(y + times * picture.height()).min(self.height) {
+            for column in x..(x + times * picture.width()).min(self.width) {
+                let light = picture[((column - x) / times, (row - y) / times)];
+                let at = 3 * (row * self.width + column);
+                let code = |l: f32| (srgb_encode(l.clamp(0.0, 1.0)) * 255.0).round() as u8;
+                self.data[at..at + 3].copy_from_slice(&light.to_array().map(code));
+            }
+        }
     }
 
     /// As [`path`](Self::path), with lines that let the picture show through.
@@ -106,7 +151,7 @@ impl Canvas {
 
     /// Letters whose lower left corner is at `at`, moved into the picture if they would leave it.
     pub fn text(&mut self, at: DVec2, text: &str, colour: Colour) {
-        let cell = (self.width.max(self.height) / 500).max(1);
+        let cell = self.cell;
         let (wide, high) = (cell * (WIDE + 1) * text.chars().count(), cell * HIGH);
         if !at.is_finite() || wide + 2 * cell > self.width || high + 2 * cell > self.height {
             return;
@@ -116,7 +161,7 @@ impl Canvas {
         let left = within(at.x, cell, self.width - wide - cell);
         let top = within(at.y - high as f64, cell, self.height - high - cell);
         // The dark rim of every cell first, one cell wide.
-        for (colour, rim, opacity) in [(RIM, cell, 0.7), (colour, 0, 1.0)] {
+        for (colour, rim, opacity) in [(self.rim, cell, 0.7), (colour, 0, 1.0)] {
             let mut marked = BTreeSet::new();
             for (i, c) in text.chars().enumerate() {
                 for (row, bits) in letter(c).into_iter().enumerate() {
@@ -137,7 +182,7 @@ impl Canvas {
 
     /// Height of a letter, px.
     pub fn letter_height(&self) -> f64 {
-        ((self.width.max(self.height) / 500).max(1) * lettering::HIGH) as f64
+        (self.cell * lettering::HIGH) as f64
     }
 
     /// An upright cross, `radius` px from centre to tip.
@@ -148,14 +193,7 @@ impl Canvas {
 
     /// A circle.
     pub fn circle(&mut self, centre: DVec2, radius: f64, colour: Colour) {
-        let points: Vec<_> = (0..=64)
-            .map(|i| {
-                Some(
-                    centre
-                        + radius * DVec2::from_angle(f64::from(i) / 64.0 * std::f64::consts::TAU),
-                )
-            })
-            .collect();
+        let points: Vec<_> = around(centre, radius).into_iter().map(Some).collect();
         self.path(&points, colour);
     }
 
@@ -176,6 +214,12 @@ impl Canvas {
             *sample = mixed.round() as u8;
         }
     }
+}
+
+/// Points of a circle, the first one also last.
+fn around(centre: DVec2, radius: f64) -> Vec<DVec2> {
+    let turn = |i: i32| f64::from(i) / 64.0 * std::f64::consts::TAU;
+    (0..=64).map(|i| centre + radius * DVec2::from_angle(turn(i))).collect()
 }
 
 /// Distance of a point from a line's nearest point.

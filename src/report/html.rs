@@ -9,7 +9,7 @@ use maud::{DOCTYPE, Markup, PreEscaped, html};
 use super::text::{denoised, per_cent};
 use super::{CameraReport, Picture, Report, ReportError, Warning, counted, photographs};
 
-const STYLE: &str = "
+pub(super) const STYLE: &str = "
 body{font:15px/1.5 system-ui,sans-serif;max-width:1100px;margin:2rem auto;padding:0 1rem;color:#222;background:#fafafa}
 h1{font-size:1.6rem}h2{font-size:1.15rem;margin-top:2.2rem;border-bottom:1px solid #ccc}
 table{border-collapse:collapse}td,th{padding:.15rem .9rem .15rem 0;text-align:left;vertical-align:top}
@@ -75,12 +75,16 @@ fn page(report: &Report, before: &str, after: &str) -> Markup {
     }
 }
 
-/// What people call the shot: its folder, or the file where that is not called shot.toml.
 fn name(report: &Report) -> String {
     let path = report.shot.get("path").and_then(|path| path.as_str()).map(Path::new);
+    path.map_or("shot".to_owned(), shot_name)
+}
+
+/// What people call a shot: its folder, or the file where that is not called shot.toml.
+pub fn shot_name(path: &Path) -> String {
     let text = |name: &std::ffi::OsStr| name.to_string_lossy().into_owned();
-    let path = path.map(|path| path.canonicalize().unwrap_or_else(|_| path.to_owned()));
-    let name = path.as_deref().and_then(|path| match path.file_stem()? {
+    let path = path.canonicalize().unwrap_or_else(|_| path.to_owned());
+    let name = path.file_stem().and_then(|stem| match stem {
         stem if stem == "shot" => path.parent()?.file_name().map(text),
         stem => Some(text(stem)),
     });

@@ -4,13 +4,14 @@
 //! This room never computes a picture or a number it reports on, it only shows them.
 
 mod canvas;
+pub mod chart;
 mod html;
 mod lettering;
 pub mod overlay;
 mod text;
 
 pub use canvas::Canvas;
-pub use html::write_html;
+pub use html::{shot_name, write_html};
 pub use text::{length, summary};
 
 use std::io::Write;
