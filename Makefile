@@ -14,10 +14,11 @@ test: system
 	cargo check --no-default-features --all-targets
 
 # Also makes the demo shot anew (plates/demo/README.md says how long that takes): not one byte of it
-# may differ.
+# may differ. And charts the shots: what auto chooses must be near the best method.
 test-long: test
 	cargo run --release --quiet --example make_demo -- --out out/demo-anew
 	diff -r --exclude=README.md out/demo-anew plates/demo
+	cargo test --release --test chart -- --ignored --nocapture
 
 bench: system
 	cargo bench

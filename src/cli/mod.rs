@@ -7,6 +7,7 @@
 
 mod batch;
 mod calibrate;
+mod chart;
 mod check;
 mod error;
 mod interrupt;
@@ -141,6 +142,7 @@ pub(crate) fn say_line(line: &str) {
 enum Command {
     Run(run::Args),
     Check(check::Args),
+    Chart(chart::Args),
     Batch(batch::Args),
     Calibrate(calibrate::Args),
     Locate(locate::Args),
@@ -155,6 +157,7 @@ fn dispatch(command: &Command, global: &Global) -> Result<Outcome, CliError> {
     match command {
         Command::Run(args) => run::run(args, global),
         Command::Check(args) => check::run(args, global),
+        Command::Chart(args) => chart::run(args, global),
         Command::Batch(args) => batch::run(args, global),
         Command::Calibrate(args) => calibrate::run(args, global),
         Command::Locate(args) => locate::run(args, global),

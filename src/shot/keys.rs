@@ -73,6 +73,17 @@ pub struct Keys<'a> {
     misspelt: Vec<&'static str>,
 }
 
+/// The known word that was probably meant, if any is near.
+pub fn nearest<'k>(word: &str, known: &[&'k str]) -> Option<&'k str> {
+    known
+        .iter()
+        .map(|known| (strsim::osa_distance(word, known), *known))
+        .min_by_key(|&(distance, _)| distance)
+        // More than half the letters wrong is no misprint.
+        .filter(|&(distance, known)| 2 * distance <= known.len().max(word.len()))
+        .map(|(_, known)| known)
+}
+
 impl<'a> Keys<'a> {
     /// The whole file.
     pub fn root(
@@ -102,14 +113,7 @@ impl<'a> Keys<'a> {
 
     /// Notes a key that is not known; returns the one it is misspelt from, if it is near one.
     fn unknown(&self, key: &str, byte: usize) -> Option<&'static str> {
-        let nearest = self
-            .known
-            .iter()
-            .map(|&known| (strsim::osa_distance(key, known), known))
-            .min_by_key(|&(distance, _)| distance)
-            // More than half the letters wrong is no misprint.
-            .filter(|&(distance, known)| 2 * distance <= known.len().max(key.len()));
-        let nearest = nearest.map(|(_, known)| known);
+        let nearest = nearest(key, self.known);
         let remedy = match nearest {
             Some(known) => format!("did you mean `{}`?", self.path(known)),
             None => format!("known here: {}", self.known.join(", ")),

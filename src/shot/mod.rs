@@ -7,6 +7,7 @@ mod bracket;
 pub mod budget;
 pub mod calibrate;
 pub mod camera_keys;
+pub mod chart;
 pub mod check;
 pub mod detect;
 pub mod existing;

@@ -1,0 +1,83 @@
+//! `platelight chart`: speed against accuracy of every method, on one's own shot.
+
+use std::path::PathBuf;
+
+use super::terminal::Terminal;
+use super::{CliError, Global, Outcome};
+use crate::report::chart::summary;
+use crate::shot::ShotFile;
+use crate::shot::batch::out_folder;
+use crate::shot::chart::{ChartOptions, all, chart, named};
+use crate::shot::run::RunError;
+
+/// Chart speed against accuracy of every method on a shot
+#[derive(Debug, clap::Args)]
+#[command(after_help = format!("\
+Examples:
+  platelight chart shots/robot
+  platelight chart shots/robot --time 600 --out charts/robot
+  platelight chart shots/robot --methods two-pass,coupled,mis-compensated --scale 0.5
+
+Renders a reference, then the shot's own settings (auto) and each method at growing cost, in turn, and
+writes chart.csv, chart.svg, chart.png, chart.html and crops.png, the same part of the picture by every
+method at equal time. Error and bias are those over the influence region, relative to the picture's
+brightness; costs are CPU seconds of rendering, without preparation.
+
+Methods: {}.", method_names()))]
+pub struct Args {
+    /// The shot file, or the folder that holds shot.toml
+    shot: PathBuf,
+    /// Folder for the results [default: out/chart/ beside the shot file]
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+    /// Be done after about this many seconds, preparation included
+    #[arg(long, value_name = "SECONDS", default_value_t = 180.0)]
+    time: f64,
+    /// Methods to hold against the shot's own settings, separated by commas [default: all]
+    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
+    methods: Vec<String>,
+    /// Size of the picture rendered, as a share of the plate's: 1, 0.5, 0.333 … [default: what fits
+    /// the time]
+    #[arg(long, value_name = "SHARE")]
+    scale: Option<f64>,
+}
+
+fn method_names() -> String {
+    all().iter().map(|row| row.name).collect::<Vec<_>>().join(", ")
+}
+
+/// Less is over before anything was rendered twice.
+const LEAST_SECONDS: f64 = 2.0;
+/// No plate has a pixel left at less.
+const LEAST_SCALE: f64 = 0.001;
+
+pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
+    if !(args.time >= LEAST_SECONDS && args.time.is_finite()) {
+        return Err(CliError::wrong(format!(
+            "--time: {} s is not {LEAST_SECONDS} s or more; a chart needs many renderings",
+            args.time
+        )));
+    }
+    let reduced = match args.scale {
+        Some(scale) if !(LEAST_SCALE..=1.0).contains(&scale) => {
+            return Err(CliError::wrong(format!(
+                "--scale: {scale} is not between {LEAST_SCALE} and 1, the plate's own size"
+            )));
+        }
+        scale => scale.map(|scale| (1.0 / scale).round() as usize),
+    };
+    let rows = named(&args.methods).map_err(CliError::wrong)?;
+    let shot = ShotFile::read(&args.shot).map_err(|e| CliError::several(e.problems()))?;
+    let out = args.out.clone().unwrap_or_else(|| out_folder(&shot.path, None).join("chart"));
+    let options = ChartOptions { seconds: args.time, rows, reduced };
+    let terminal = Terminal::new(global);
+    let charted = chart(shot, &out, &options, &global.context(), &terminal);
+    terminal.finish();
+    let (chart, complete) = match charted {
+        Ok(charted) => charted,
+        Err(RunError::Interrupted) => return Err(CliError::interrupted()),
+        Err(error) => return Err(CliError::several(error.problems())),
+    };
+    global.print(&chart, || summary(&chart));
+    Ok(if complete { Outcome::Done } else { Outcome::Interrupted })
+}

@@ -1,0 +1,170 @@
+//! Renderings of one shot by many methods, each timed and held against the same reference.
+
+use std::time::Instant;
+
+use super::methods::Row;
+use crate::camera::Camera;
+use crate::conventions::Rgb;
+use crate::photo::Image;
+use crate::render::compare::Region;
+use crate::render::world::Groundwork;
+use crate::render::{
+    Context, Difference, Job, Numbers, Progress, RenderError, Stop, Technique, groundwork,
+    integrator_on,
+};
+use crate::report::chart::Point;
+use crate::shot::plan::Plan;
+use crate::shot::prepare::Prepared;
+use crate::shot::watch::{Watch, thread_seconds};
+
+/// The shot at a size that can be rendered often.
+pub struct Bench<'a> {
+    plan: &'a Plan,
+    prepared: &'a Prepared,
+    plate: Image<Rgb>,
+    camera: Camera,
+    /// The same for every method.
+    groundwork: Option<Groundwork>,
+}
+
+/// A rendering, and what it cost.
+pub struct Rendering {
+    pub difference: Difference,
+    /// The error that the method states.
+    pub stated: f64,
+    pub samples: u64,
+    /// For the waves alone.
+    pub seconds: f64,
+    pub cpu_seconds: f64,
+    /// On the clock, to build what the waves need.
+    pub setup_seconds: f64,
+}
+
+/// When a rendering is given up.
+#[derive(Clone, Copy)]
+pub struct Limit<'a> {
+    pub context: &'a Context,
+    pub deadline: Option<Instant>,
+}
+
+impl<'a> Bench<'a> {
+    /// Every `reduced` × `reduced` pixels of the plate become one.
+    pub fn new(
+        plan: &'a Plan,
+        prepared: &'a Prepared,
+        reduced: usize,
+        context: &Context,
+    ) -> Result<Self, RenderError> {
+        let plate = reduce(&plan.plate.linear, reduced);
+        let (width, height) = (plate.width(), plate.height());
+        let camera = prepared.camera.cropped(0.0, 0.0, 1.0 / reduced as f64, width, height);
+        let mut bench = Self { plan, prepared, plate, camera, groundwork: None };
+        let job = bench.job(Stop::Samples(1), false, Technique::default());
+        bench.groundwork = Some(groundwork(&job, context)?);
+        Ok(bench)
+    }
+
+    /// Caustics are everybody's as the shot asks for them.
+    fn job(&self, stop: Stop, denoise: bool, technique: Technique) -> Job<'_> {
+        Job {
+            scene: &self.prepared.scene,
+            lights: &self.prepared.light.lights,
+            camera: &self.camera,
+            plate: &self.plate,
+            stop,
+            numbers: Numbers::default(),
+            least_step: self.plan.plate.least_step(),
+            denoise,
+            technique: Technique { caustics: self.plan.shot.render.caustics, ..technique },
+        }
+    }
+
+    pub fn plate(&self) -> &Image<Rgb> {
+        &self.plate
+    }
+
+    /// Renders until `stop`; `None` if the limit came first. `watch` hears how it goes on.
+    pub fn render(
+        &self,
+        row: &Row,
+        stop: Stop,
+        limit: Limit,
+        watch: Option<&dyn Watch>,
+    ) -> Result<Option<Rendering>, RenderError> {
+        let begin = Instant::now();
+        let job = self.job(stop, row.denoise, row.technique);
+        let mut integrator = integrator_on(self.groundwork.as_ref(), row.method, job)?;
+        let setup_seconds = begin.elapsed().as_secs_f64();
+        let (begin, worked) = (Instant::now(), thread_seconds());
+        let context = limit.context.until(limit.deadline);
+        let mut samples = 0;
+        let wave = loop {
+            let wave = integrator.next_wave(&context);
+            samples += wave.samples;
+            if let Some(watch) = watch {
+                watch.progress(wave.done, wave.error);
+            }
+            if wave.finished() || context.is_over() {
+                break wave;
+            }
+        };
+        if wave.progress != Progress::Met && context.is_over() || wave.missing > 0 {
+            return Ok(None);
+        }
+        let seconds = begin.elapsed().as_secs_f64();
+        let cpu = thread_seconds().zip(worked).map(|(now, before)| now - before);
+        // Where nobody counts the processor's time, all threads are taken to have worked.
+        let cpu_seconds = cpu.unwrap_or(seconds * rayon::current_num_threads() as f64);
+        Ok(Some(Rendering {
+            difference: integrator.snapshot(),
+            stated: wave.error,
+            samples,
+            seconds,
+            cpu_seconds: cpu_seconds.max(1e-4),
+            setup_seconds,
+        }))
+    }
+}
+
+impl Rendering {
+    /// What the rendering is on a chart.
+    pub fn point(&self, region: &Region) -> Point {
+        let found = region.compare(&self.difference);
+        let above_zero = |error: f64| (error > 0.0).then_some(error);
+        Point {
+            cpu_seconds: self.cpu_seconds,
+            seconds: self.seconds,
+            samples: self.samples,
+            stated: self.stated,
+            error: above_zero(found.error),
+            on_objects: above_zero(found.on_objects),
+            beside: above_zero(found.beside),
+            bias: found.bias,
+            bias_sigma: found.bias_sigma,
+        }
+    }
+}
+
+/// Means of squares of `n` × `n` pixels; what does not fill one at the right and lower edge is left out.
+fn reduce(picture: &Image<Rgb>, n: usize) -> Image<Rgb> {
+    let (width, height) = ((picture.width() / n).max(1), (picture.height() / n).max(1));
+    let n = n.min(picture.width()).min(picture.height());
+    Image::from_fn(width, height, |x, y| {
+        let square = (0..n * n).map(|k| picture[(x * n + k % n, y * n + k / n)]);
+        square.sum::<Rgb>() / (n * n) as f32
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_reduced_plate_is_the_mean_of_its_pixels() {
+        let plate = Image::from_fn(7, 5, |x, y| Rgb::splat((x + 10 * y) as f32));
+        let small = reduce(&plate, 2);
+        assert_eq!((small.width(), small.height()), (3, 2));
+        assert_eq!(small[(1, 1)], Rgb::splat((22.0 + 23.0 + 32.0 + 33.0) / 4.0));
+        assert_eq!(reduce(&plate, 1).pixels(), plate.pixels());
+    }
+}

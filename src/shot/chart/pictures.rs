@@ -1,0 +1,132 @@
+//! The part of the picture that is shown of every method, and the files of a chart.
+
+use std::path::{Path, PathBuf};
+
+use super::bench::Rendering;
+use crate::conventions::Rgb;
+use crate::photo::tone::{ToneCurve, automatic_stops, display};
+use crate::photo::{Image, Photo, Samples};
+use crate::render::compare::Region;
+use crate::report::chart::{Chart, Tile, canvas, contact_sheet, write_csv, write_page, write_svg};
+use crate::shot::run::RunError;
+use crate::shot::watch::Watch;
+use crate::shot::write;
+
+const CSV: &str = "chart.csv";
+const SVG: &str = "chart.svg";
+const PNG: &str = "chart.png";
+const CROPS: &str = "crops.png";
+const HTML: &str = "chart.html";
+
+/// Largest crop, px.
+const LARGEST: [usize; 2] = [290, 220];
+const COLUMNS: usize = 6;
+
+/// The part that is shown: where the objects change most.
+#[derive(Clone, Copy, Debug)]
+pub struct Window {
+    x: usize,
+    y: usize,
+    width: usize,
+    height: usize,
+}
+
+/// What a method made of the window, scene-linear, and at which cost.
+pub struct Crop {
+    picture: Image<Rgb>,
+    cpu_seconds: f64,
+}
+
+impl Window {
+    /// Of at most [`LARGEST`], about the middle of what the objects change.
+    pub fn around(region: &Region, plate: &Image<Rgb>) -> Self {
+        let (mut sum, mut middle) = (0.0_f64, glam::DVec2::ZERO);
+        for ((x, y), change) in region.changes() {
+            sum += f64::from(change);
+            middle += f64::from(change) * glam::DVec2::new(x as f64, y as f64);
+        }
+        let middle = middle / sum.max(1e-12);
+        let [width, height] = [plate.width().min(LARGEST[0]), plate.height().min(LARGEST[1])];
+        let from = |middle: f64, size: usize, of: usize| {
+            (middle - 0.5 * size as f64).clamp(0.0, (of - size) as f64) as usize
+        };
+        let x = from(middle.x, width, plate.width());
+        let y = from(middle.y, height, plate.height());
+        Self { x, y, width, height }
+    }
+
+    pub fn crop(&self, rendering: &Rendering, plate: &Image<Rgb>) -> Crop {
+        let difference = &rendering.difference;
+        let picture = Image::from_fn(self.width, self.height, |x, y| {
+            let at = (self.x + x, self.y + y);
+            let background =
+                plate[at] * (1.0 - difference.coverage[at]) + difference.difference[at];
+            difference.object[at] + background
+        });
+        Crop { picture, cpu_seconds: rendering.cpu_seconds }
+    }
+}
+
+/// Results must not take the place of what the shot is made from.
+pub fn refuse_to_overwrite(out: &Path, inputs: &[PathBuf]) -> Result<(), RunError> {
+    let place = |path: &Path| std::fs::canonicalize(path).ok();
+    let results: Vec<PathBuf> =
+        [CSV, SVG, PNG, CROPS, HTML].iter().filter_map(|name| place(&out.join(name))).collect();
+    let taken = inputs.iter().find(|input| place(input).is_some_and(|at| results.contains(&at)));
+    taken.map_or(Ok(()), |input| {
+        Err(RunError::Problems(vec![format!(
+            "--out {}: {} is an input of the shot and would be overwritten; name another folder",
+            out.display(),
+            input.display()
+        )]))
+    })
+}
+
+/// Writes table, curves, crops and page.
+pub fn write(
+    out: &Path,
+    chart: &mut Chart,
+    plate: &Photo,
+    reference: Crop,
+    crops: &[Vec<Crop>],
+    watch: &dyn Watch,
+) -> Result<(), RunError> {
+    std::fs::create_dir_all(out)
+        .map_err(|cause| RunError::Folder { folder: out.to_owned(), cause })?;
+    chart.files = [CSV, SVG, PNG, CROPS, HTML].iter().map(|name| out.join(name)).collect();
+    write_csv(&out.join(CSV), chart)?;
+    write_svg(&out.join(SVG), chart)?;
+    write::canvas(&out.join(PNG), canvas(chart))?;
+    let tiles = tiles(chart, plate, reference, crops);
+    write::canvas(&out.join(CROPS), contact_sheet(&tiles, COLUMNS))?;
+    write_page(&out.join(HTML), chart, SVG, CROPS)?;
+    chart.files.iter().for_each(|path| watch.written(path));
+    Ok(())
+}
+
+/// The reference and every method's crop nearest to the cost that all have reached.
+fn tiles(chart: &Chart, plate: &Photo, reference: Crop, crops: &[Vec<Crop>]) -> Vec<Tile> {
+    // Pictures that are made for a screen are shown as they are.
+    let stops = match plate.samples {
+        Samples::F32 { .. } | Samples::F16 { .. } => automatic_stops(&plate.linear),
+        _ => 0.0,
+    };
+    let shown = |crop: &Crop| display(&crop.picture, stops, ToneCurve::Clip);
+    let dearest = |crops: &Vec<Crop>| crops.iter().map(|c| c.cpu_seconds).fold(0.0, f64::max);
+    let common = crops.iter().map(dearest).fold(f64::INFINITY, f64::min);
+    let first = Tile {
+        picture: shown(&reference),
+        lines: vec!["reference".to_owned(), cost(chart.reference.error, &reference)],
+    };
+    let rest = chart.curves.iter().zip(crops).filter_map(|(curve, crops)| {
+        let off = |crop: &Crop| (crop.cpu_seconds / common).ln().abs();
+        let (k, crop) = crops.iter().enumerate().min_by(|a, b| off(a.1).total_cmp(&off(b.1)))?;
+        let lines = vec![curve.name.to_owned(), cost(curve.points[k].error.unwrap_or(0.0), crop)];
+        Some(Tile { picture: shown(crop), lines })
+    });
+    std::iter::once(first).chain(rest).collect()
+}
+
+fn cost(error: f64, crop: &Crop) -> String {
+    format!("{:.2}%, {:.2} CPU s", 100.0 * error, crop.cpu_seconds)
+}

@@ -1,0 +1,128 @@
+//! `platelight chart`: its files, its order of what is known, and whether `auto` holds what it promises.
+
+mod program;
+mod tiny;
+
+use std::path::{Path, PathBuf};
+
+use platelight::render::Context;
+use platelight::report::chart::{Chart, Curve};
+use platelight::shot::ShotFile;
+use platelight::shot::chart::{ChartOptions, chart, named};
+use platelight::shot::watch::Silent;
+use program::{platelight, text};
+use tiny::{Plate, write_cube, write_shot};
+
+fn charted(
+    shot: &Path,
+    out: &Path,
+    seconds: f64,
+    methods: &[&str],
+    reduced: Option<usize>,
+) -> Chart {
+    let names: Vec<String> = methods.iter().map(|&name| name.to_owned()).collect();
+    let rows = named(&names).expect("methods that are there");
+    let shot = ShotFile::read(shot).expect("the shot file is right");
+    let options = ChartOptions { seconds, rows, reduced };
+    let (chart, complete) =
+        chart(shot, out, &options, &Context::new(7), &Silent).expect("the shot can be charted");
+    assert!(complete);
+    chart
+}
+
+/// Error × √cost of a curve's dearest rendering: the lower, the better its use of time.
+fn cost_of_error(curve: &Curve) -> f64 {
+    let known = curve.points.iter().filter_map(|p| Some((p.cpu_seconds, p.error?)));
+    known.last().map(|(cost, error)| error * cost.sqrt()).expect("an error that can be told")
+}
+
+#[test]
+fn all_files_are_written_and_what_is_known_of_the_methods_is_found() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let object = write_cube(folder.path(), 0.3);
+    let shot = write_shot(folder.path(), Plate::ExrFloat, &object);
+    let out = folder.path().join("chart");
+    let methods = ["two-pass-independent", "two-pass", "coupled", "depth-1", "patches-64"];
+    let chart = charted(&shot, &out, 10.0, &methods, Some(1));
+
+    for name in ["chart.csv", "chart.svg", "chart.png", "chart.html", "crops.png"] {
+        assert!(out.join(name).metadata().is_ok_and(|file| file.len() > 100), "{name}");
+    }
+    let table = std::fs::read_to_string(out.join("chart.csv")).expect("chart.csv");
+    let curve = |name: &str| {
+        let found = chart.curves.iter().find(|curve| curve.name == name);
+        found.unwrap_or_else(|| panic!("{name} is charted:\n{table}"))
+    };
+    assert_eq!(chart.size, [tiny::WIDTH, tiny::HEIGHT]);
+    assert!(chart.curves.iter().all(|curve| table.contains(curve.name)));
+    // What auto chooses is not measured twice, and said.
+    assert!(chart.curves.iter().all(|curve| curve.name != "coupled"));
+    assert!(chart.notes.iter().any(|note| note.contains("coupled is what auto does")));
+
+    // methods-render R2.8: the same numbers in both pictures are worth a factor of five in variance.
+    let [same, independent] =
+        ["two-pass", "two-pass-independent"].map(|name| cost_of_error(curve(name)));
+    println!("error x root of cost: {same:.5} {independent:.5}\n{table}");
+    assert!(1.3 * same < independent, "{same} {independent}");
+    // Without what the lit cube sends to the ground, that is too dark.
+    let last = curve("depth-1").points.last().expect("a rendering");
+    assert!(last.bias < -3.0 * last.bias_sigma, "{last:?}");
+    assert!(chart.reference.error < 0.02, "{:?}", chart.reference);
+}
+
+#[test]
+fn what_is_wrong_is_told_before_any_work() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let empties = [Plate::Png8, Plate::Png16, Plate::ExrHalf]
+        .map(|plate| write_shot(&folder.path().join(format!("{plate:?}")), plate, ""));
+    let empty = text(&empties[0]);
+    for (arguments, told) in [
+        (vec![empty, "--methods", "coupeld"], "did you mean coupled?"),
+        (vec![empty, "--scale", "1.5"], "--scale: 1.5"),
+        (vec![empty, "--time", "0"], "--time: 0 s"),
+        (vec!["no/such/shot"], "no/such/shot"),
+        (vec![empty], "object: there is none"),
+        (vec![text(&empties[1])], "object: there is none"),
+        (vec![text(&empties[2])], "object: there is none"),
+    ] {
+        let output = platelight(&[&["chart"], arguments.as_slice()].concat());
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{arguments:?}: {said}");
+        assert!(said.contains(told), "{arguments:?}: {said}");
+        assert!(empties.iter().all(|shot| !shot.with_file_name("out").exists()), "{arguments:?}");
+    }
+}
+
+/// The shots on which `auto` is judged.
+fn shots() -> Vec<PathBuf> {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let shared = std::env::var_os("PLATELIGHT_SHARED")
+        .map_or_else(|| root.join("../shared"), PathBuf::from)
+        .join("truth");
+    let mut shots = vec![root.join("plates/demo")];
+    if shared.is_dir() {
+        shots.extend(
+            ["overcast-soft", "outdoor-sun", "indoor-window"].map(|name| shared.join(name)),
+        );
+    } else {
+        eprintln!("skipped: {} has no truth scenes", shared.display());
+    }
+    shots
+}
+
+/// Six minutes: `make test-long`.
+#[test]
+#[ignore = "minutes"]
+fn auto_is_within_half_again_of_the_best_unbiased_method_at_equal_cost() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut failures = Vec::new();
+    for shot in shots() {
+        let chart = charted(&shot, folder.path(), 90.0, &[], None);
+        let verdict = chart.verdict.as_ref().expect("unbiased methods to compare with");
+        println!("{}: {:.2} times {}, {verdict:?}", chart.name, verdict.ratio(), verdict.best);
+        if verdict.ratio() > 1.5 {
+            failures.push(format!("{}: {verdict:?}", chart.name));
+        }
+    }
+    assert!(failures.is_empty(), "{}", failures.join("\n"));
+}
