@@ -6,6 +6,7 @@
 //! | `Ks` | weight of the dielectric reflection: 0.5 is F0 = 0.04 (what Blender writes), none is Lambert |
 //! | `Ns` | roughness = (2 / (Ns + 2))^¼: the Blinn exponent whose lobe is as wide as GGX's α = roughness² |
 //! | `Pr`, `Pm` | roughness, metallic, before `Ns` |
+//! | `Pc`, `Pcr` | clear coat and its roughness |
 //! | `Ke`, `map_Ke` | emissive |
 //! | `Ni` | index of refraction |
 //! | `d`, `Tr` | alpha, blended; `map_d` of the same picture as `map_Kd`: its alpha |
@@ -22,7 +23,7 @@ use glam::{Affine2, Mat2, Vec2, Vec3, Vec4};
 use super::files::{beside, read_file};
 use super::obj::{grey, logical_lines, numbers};
 use super::texture::{TexelMeaning, Wrap};
-use super::{AlphaMode, Material, Model, SceneError, Texture, TextureRef};
+use super::{AlphaMode, Clearcoat, Material, Model, SceneError, Texture, TextureRef};
 
 /// Materials by name, pictures not yet read.
 #[derive(Default)]
@@ -44,6 +45,8 @@ struct MtlMaterial {
     exponent: Option<f32>,
     roughness: Option<f32>,
     metallic: Option<f32>,
+    clearcoat: Option<f32>,
+    clearcoat_roughness: Option<f32>,
     ior: Option<f32>,
     alpha: Option<f32>,
     illumination: u32,
@@ -112,6 +115,8 @@ impl MtlMaterial {
             "Ns" => self.exponent = one()?,
             "Pr" => self.roughness = one()?,
             "Pm" => self.metallic = one()?,
+            "Pc" => self.clearcoat = one()?,
+            "Pcr" => self.clearcoat_roughness = one()?,
             "Ni" => self.ior = one()?,
             "d" => {
                 self.alpha = numbers(rest.trim_start_matches("-halo"))?.first().map(|&d| d as f32)
@@ -213,6 +218,11 @@ impl MaterialLibrary {
             } else {
                 (2.0 * specular).min(Vec3::splat(f32::MAX))
             },
+            clearcoat: mtl.clearcoat.filter(|&factor| factor > 0.0).map(|factor| Clearcoat {
+                factor: factor.min(1.0),
+                roughness: mtl.clearcoat_roughness.unwrap_or(0.0).clamp(0.0, 1.0),
+                ..Clearcoat::default()
+            }),
             ..Material::default()
         };
         if mtl.is_glass() {

@@ -479,7 +479,7 @@ mod tests {
     fn materials_map_onto_metallic_roughness() {
         let mtl = "newmtl matte\nKd 0.5 0.25 0.1\n\
                    newmtl shiny\nKd 0.1 0.1 0.1\nKs 0.5 0.5 0.5\nNs 30\n\
-                   newmtl steel\nKd 0.6 0.6 0.6\nPm 1\nPr 0.3\nKs 0 0 0\n\
+                   newmtl steel\nKd 0.6 0.6 0.6\nPm 1\nPr 0.3\nKs 0 0 0\nPc 0.5\nPcr 0.1\n\
                    newmtl glass\nillum 7\nNi 1.45\nKd 1 1 1\nd 0.1\n\
                    newmtl veil\nKd 1 1 1\nd 0.25\n\
                    newmtl broken\nKd 1\nKs a b c\nmap_Kd -s 2\nNs\n";
@@ -493,6 +493,8 @@ mod tests {
         assert_eq!((shiny.specular, shiny.specular_colour), (1.0, Vec3::ONE));
         assert!((shiny.roughness - 0.5).abs() < 1e-6, "Ns 30: α = √(2/32) = ¼");
         assert_eq!((steel.metallic, steel.roughness, steel.specular), (1.0, 0.3, 1.0));
+        let coat = steel.clearcoat.as_ref().unwrap();
+        assert_eq!((coat.factor, coat.roughness, matte.clearcoat.is_none()), (0.5, 0.1, true));
         assert_eq!((glass.transmission, glass.solid, glass.ior), (1.0, true, 1.45));
         assert_eq!((glass.roughness, glass.alpha_mode), (0.0, AlphaMode::Opaque));
         assert_eq!((veil.alpha_mode, veil.base_colour.w), (AlphaMode::Blend, 0.25));
