@@ -163,6 +163,39 @@ fn a_mirror_and_clear_glass_vanish_in_a_furnace() {
 }
 
 #[test]
+fn a_coloured_ball_of_index_one_obeys_beers_law() {
+    // Nothing bends nor reflects, however rough: through the middle of a ball of radius r, share
+    // c^(2r / d) of a white sky is left.
+    let (r, d) = (0.3_f32, 0.25);
+    let colour = Rgb::new(0.9, 0.5, 0.1);
+    let coloured = Material {
+        transmission: 1.0,
+        solid: true,
+        roughness: 0.5,
+        ior: 1.0,
+        specular: 1.0,
+        attenuation_colour: colour,
+        attenuation_distance: d,
+        ..matt(1.0)
+    };
+    let scene = scene(vec![sphere(Vec3::ZERO, r, 5)], coloured, Vec::new());
+    let pose =
+        crate::camera::Pose::look_at(glam::DVec3::Z * 50.0, glam::DVec3::ZERO, glam::DVec3::Y);
+    let lens = crate::camera::Lens::pinhole(1e5, 4, 4);
+    let camera = crate::camera::Camera { width: 4, height: 4, lens, pose: pose.unwrap() };
+    let plate = Image::filled(4, 4, Rgb::ONE);
+    let seen = render(&scene, &uniform_sky(1.0), &camera, &plate, COUPLED, 32, 2);
+    let wanted = colour.powf(2.0 * r / d);
+    for (sent, coverage) in seen.object.pixels().iter().zip(seen.coverage.pixels()) {
+        // The ball's corners stand outside the sphere by 1e-3 of r, and so do the ways through it.
+        assert!(
+            *coverage == 1.0 && (*sent / wanted - Rgb::ONE).abs().max_element() < 0.01,
+            "{sent}"
+        );
+    }
+}
+
+#[test]
 fn a_card_of_the_grounds_own_albedo_lying_on_it_is_invisible() {
     // R4.8 and G8: coplanar, so the object must win over the ground everywhere.
     let rho = 0.5;
