@@ -37,6 +37,8 @@ pub struct Noisy {
     /// How much of the picture a pixel's value stands for: Σ mass · value is kept when light is
     /// spread. Above 0.
     pub masses: Image<f32>,
+    /// Pixels that are not fitted: they lie smoothly between sampled ones already.
+    pub between: Image<bool>,
     /// Unit normals of what is seen, zero for none.
     pub normals: Image<Rgb>,
 }
@@ -66,7 +68,11 @@ pub fn denoise(noisy: &Noisy) -> Filtered {
     let variance = smooth(&squared, groups, VARIANCE_REACH);
     let brightness = over(&|p| Rgb::splat(0.5 * (a[p] - b[p]).element_sum().powi(2)));
     let brightness = smooth(&brightness, groups, VARIANCE_REACH).map(|v| v.x);
-    let [fa, fb] = fit_halves(&calm, groups, &noisy.normals, &brightness);
+    let to_fit = Image::from_fn(width, height, |x, y| match noisy.between[(x, y)] {
+        true => 0,
+        false => groups[(x, y)],
+    });
+    let [fa, fb] = fit_halves(&calm, &to_fit, &noisy.normals, &brightness);
 
     // Judged by the half that is not in it, a fitted half errs by this beyond that half's noise
     let error_of_half =
@@ -247,7 +253,13 @@ mod tests {
                 Rgb::splat(truth(x, y) + sigma * normal(x, y, salt)) * Rgb::new(1.0, 0.9, 1.1)
             })
         };
-        Noisy { halves: [half(1), half(2)], groups, masses: flat(1.0), normals: flat(Rgb::ZERO) }
+        Noisy {
+            halves: [half(1), half(2)],
+            groups,
+            masses: flat(1.0),
+            between: flat(false),
+            normals: flat(Rgb::ZERO),
+        }
     }
 
     fn squared_error(image: &Image<Rgb>) -> f64 {
@@ -306,6 +318,7 @@ mod tests {
             halves: [half.clone(), half.clone()],
             groups,
             masses: flat(1.0),
+            between: flat(false),
             normals: flat(Rgb::ZERO),
         };
         let filtered = denoise(&noisy);
@@ -327,6 +340,7 @@ mod tests {
             halves: [cut(&whole.halves[0]), cut(&whole.halves[1])],
             groups: Image::filled(SIZE - shift, SIZE - shift, 1),
             masses: Image::filled(SIZE - shift, SIZE - shift, 1.0),
+            between: Image::filled(SIZE - shift, SIZE - shift, false),
             normals: Image::filled(SIZE - shift, SIZE - shift, Rgb::ZERO),
         };
         let (a, b) = (denoise(&whole).value, denoise(&part).value);
@@ -351,14 +365,31 @@ mod tests {
                 shading[(x, y)] + Rgb::splat(0.2 * normal(x, y, salt))
             })
         };
-        let noisy =
-            Noisy { halves: [half(1), half(2)], groups: flat(1), masses: flat(1.0), normals };
+        let noisy = Noisy {
+            halves: [half(1), half(2)],
+            groups: flat(1),
+            masses: flat(1.0),
+            between: flat(false),
+            normals,
+        };
         let filtered = denoise(&noisy).value;
         let squares =
             filtered.pixels().iter().zip(shading.pixels()).map(|(a, b)| (a.x - b.x).powi(2));
         let error = (squares.sum::<f32>() / (SIZE * SIZE) as f32).sqrt();
         // A mean of all 169 pixels of a window alone would leave 0.011 of the 0.14.
         assert!(error < 0.03, "{error}");
+    }
+
+    #[test]
+    fn between_sampled_pixels_only_chance_light_is_taken() {
+        let mut noisy = Noisy { between: flat(true), ..noisy(0.1, flat(1)) };
+        let before = denoise(&noisy).moved.pixels().iter().map(|v| v.x.abs()).fold(0.0, f32::max);
+        for (x, y) in (0..64).map(|k| (40 + k % 8, 40 + k / 8)) {
+            noisy.halves[1][(x, y)] += Rgb::splat(9.0);
+        }
+        let after = denoise(&noisy);
+        assert!(before < 0.05, "{before}");
+        assert!(after.value[(44, 44)].x < 1.0, "{}", after.value[(44, 44)]);
     }
 
     #[test]

@@ -220,6 +220,8 @@ pub struct Halves {
     /// What one unit of either is worth in the finished pixel, by its brightness.
     pub ratio_mass: f32,
     pub object_mass: f32,
+    /// They lie between those of sampled pixels.
+    pub between: bool,
 }
 
 /// What a denoiser made of one of the [`Halves`]: how far it moved their mean, and the variance of what
@@ -244,6 +246,7 @@ impl Pixel {
             object: covered.then(|| halves.map(|half| half.object / half.coverage)),
             ratio_mass: luminance(if mean.plate > 0.0 { plate * mean.local } else { base }),
             object_mass: mean.coverage,
+            between: false,
         }
     }
 

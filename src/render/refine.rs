@@ -112,6 +112,7 @@ fn filter(
         halves: [half(0), half(1)],
         groups: groups.clone(),
         masses,
+        between: halves.map(|h| h.between),
         normals: Image::from_fn(width, height, normal),
     });
     (filtered, groups)

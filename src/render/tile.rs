@@ -232,12 +232,13 @@ impl Tile {
         self.held(k).map(|pixel| pixel.estimate(self.replicates, plate, dark))
     }
 
-    /// What a denoiser reads of the tile's `k`-th pixel; nothing of a pilot or between samples.
+    /// What a denoiser reads of the tile's `k`-th pixel; nothing of a pilot.
     pub fn halves(&self, k: usize, plate: &Image<Rgb>, dark: f32) -> Halves {
-        match self.pixels.get(k) {
-            Some(pixel) if !self.pilot && self.grid == Grid::FULL => {
-                pixel.halves(plate[self.block.pixel(k)], dark)
-            }
+        match self.held(k) {
+            Some(pixel) if !self.pilot => Halves {
+                between: self.grid != Grid::FULL,
+                ..pixel.halves(plate[self.block.pixel(k)], dark)
+            },
             _ => Halves::default(),
         }
     }
@@ -255,7 +256,7 @@ impl Tile {
         if ratio.is_none() && object.is_none() {
             return Some(raw);
         }
-        Some(self.pixels.get(k)?.refined(&raw, plate[self.block.pixel(k)], dark, ratio, object))
+        Some(self.held(k)?.refined(&raw, plate[self.block.pixel(k)], dark, ratio, object))
     }
 
     /// Pools the errors of the pixels.
