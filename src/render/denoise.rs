@@ -123,6 +123,7 @@ fn calm(noisy: &Noisy) -> ([Image<Rgb>; 2], Image<Rgb>) {
     for (half, other) in [(0, &halves[1]), (1, &halves[0])] {
         let mean = smooth(other, groups, AROUND);
         let square = smooth(&other.map(|v| *v * *v), groups, AROUND);
+        let at_large = smooth(&halves[half], groups, WIDE_REACH);
         let excess: Vec<Rgb> = (0..width * height)
             .into_par_iter()
             .map(|k| {
@@ -134,7 +135,9 @@ fn calm(noisy: &Noisy) -> ([Image<Rgb>; 2], Image<Rgb>) {
                 let sigma = (square[p] - mean[p] * mean[p]).max(Rgb::ZERO).map(f32::sqrt);
                 let (found, known) =
                     (away.abs().max_element(), CHANCE_SIGMAS * sigma.max_element());
-                if found <= known {
+                // It may be the other half that found something: then this one is as all around
+                let alone = (halves[half][p] - at_large[p]).abs().max_element();
+                if found <= known || alone < 0.5 * found {
                     return Rgb::ZERO;
                 }
                 let confirmed = near(p, 1, groups)
