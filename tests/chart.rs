@@ -30,10 +30,10 @@ fn charted(
     chart
 }
 
-/// Error × √cost of a curve's dearest rendering: the lower, the better its use of time.
-fn cost_of_error(curve: &Curve) -> f64 {
-    let known = curve.points.iter().filter_map(|p| Some((p.cpu_seconds, p.error?)));
-    known.last().map(|(cost, error)| error * cost.sqrt()).expect("an error that can be told")
+/// Error × √samples of a curve's first rendering, which no clock decides.
+fn error_of_a_sample(curve: &Curve) -> f64 {
+    let first = curve.points.first().expect("a rendering");
+    first.error.expect("an error that can be told") * (first.samples as f64).sqrt()
 }
 
 #[test]
@@ -61,8 +61,8 @@ fn all_files_are_written_and_what_is_known_of_the_methods_is_found() {
 
     // methods-render R2.8: the same numbers in both pictures are worth a factor of five in variance.
     let [same, independent] =
-        ["two-pass", "two-pass-independent"].map(|name| cost_of_error(curve(name)));
-    println!("error x root of cost: {same:.5} {independent:.5}\n{table}");
+        ["two-pass", "two-pass-independent"].map(|name| error_of_a_sample(curve(name)));
+    println!("error x root of samples: {same:.5} {independent:.5}\n{table}");
     assert!(1.3 * same < independent, "{same} {independent}");
     // Without what the lit cube sends to the ground, that is too dark.
     let last = curve("depth-1").points.last().expect("a rendering");

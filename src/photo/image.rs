@@ -62,7 +62,11 @@ impl<T> Image<T> {
 
     /// The pixel at column `x`, row `y`, or `None` outside the picture.
     pub fn get(&self, x: usize, y: usize) -> Option<&T> {
-        if x < self.width { self.pixels.get(y * self.width + x) } else { None }
+        if x < self.width && y < self.height() {
+            Some(&self.pixels[y * self.width + x])
+        } else {
+            None
+        }
     }
 
     /// The picture of `f` of each pixel.

@@ -54,10 +54,11 @@ pub fn refine(
         .map(|tile| {
             let refined = |k: usize| {
                 let (x, y) = tile.block.pixel(k);
-                let at = (x.wrapping_sub(frame.x), y.wrapping_sub(frame.y));
+                // Tiles without samples may lie before the frame or behind it
+                let at = x.checked_sub(frame.x).zip(y.checked_sub(frame.y));
                 let of = |(filtered, groups): &(Filtered, Image<u32>)| {
-                    let group = groups.get(at.0, at.1).copied().unwrap_or(0);
-                    (group != 0).then(|| (filtered.moved[at], filtered.variance[at]))
+                    let at = at.filter(|&(x, y)| groups.get(x, y).is_some_and(|&group| group != 0));
+                    at.map(|at| (filtered.moved[at], filtered.variance[at]))
                 };
                 tile.refined(k, plate, floors.dark, of(&ratio), of(&object))
             };
