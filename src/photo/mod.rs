@@ -11,6 +11,8 @@ mod error;
 mod exif;
 pub mod exr_file;
 mod exr_read;
+#[cfg(test)]
+mod exr_tests;
 mod icc;
 pub mod image;
 mod linear;

@@ -9,7 +9,7 @@ use maud::{DOCTYPE, Markup, PreEscaped, html};
 use super::text::{denoised, per_cent};
 use super::{CameraReport, Picture, Report, ReportError, Warning, counted, photographs};
 
-pub(super) const STYLE: &str = "
+const STYLE: &str = "
 body{font:15px/1.5 system-ui,sans-serif;max-width:1100px;margin:2rem auto;padding:0 1rem;color:#222;background:#fafafa}
 h1{font-size:1.6rem}h2{font-size:1.15rem;margin-top:2.2rem;border-bottom:1px solid #ccc}
 table{border-collapse:collapse}td,th{padding:.15rem .9rem .15rem 0;text-align:left;vertical-align:top}
@@ -24,6 +24,24 @@ details pre{overflow:auto;background:#eee;padding:.6rem}
 const SLIDE: &str = "this.previousElementSibling.lastElementChild.style.clipPath=\
                      'inset(0 0 0 '+this.value+'%)'";
 
+/// The head of a page; `more` goes on with the style.
+pub(super) fn head(title: &str, more: &str) -> Markup {
+    html! {
+        head {
+            meta charset="utf-8";
+            meta name="viewport" content="width=device-width";
+            title { (title) " – Platelight" }
+            style { (PreEscaped(STYLE)) (PreEscaped(more)) }
+        }
+    }
+}
+
+/// Writes a page whole or not at all.
+pub(super) fn write_page(path: &Path, page: &Markup) -> Result<(), ReportError> {
+    crate::photo::atomic::write(path, |file| file.write_all(page.0.as_bytes()))
+        .map_err(|cause| ReportError { path: path.to_owned(), cause })
+}
+
 /// Writes report.html; `before` and `after` are file names beside it.
 pub fn write_html(
     path: &Path,
@@ -31,21 +49,14 @@ pub fn write_html(
     before: &str,
     after: &str,
 ) -> Result<(), ReportError> {
-    let page = page(report, before, after).into_string();
-    crate::photo::atomic::write(path, |file| file.write_all(page.as_bytes()))
-        .map_err(|cause| ReportError { path: path.to_owned(), cause })
+    write_page(path, &page(report, before, after))
 }
 
 fn page(report: &Report, before: &str, after: &str) -> Markup {
     html! {
         (DOCTYPE)
         html lang="en" {
-            head {
-                meta charset="utf-8";
-                meta name="viewport" content="width=device-width";
-                title { (name(report)) " – Platelight" }
-                style { (PreEscaped(STYLE)) }
-            }
+            (head(&name(report), ""))
             body {
                 h1 { (name(report)) }
                 p.note { "Platelight report on " (report.plate.file.display()) }

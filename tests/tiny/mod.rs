@@ -1,5 +1,7 @@
 //! A shot of a few pixels that runs in a moment: camera, pose and panorama from files.
 
+#![allow(dead_code, reason = "every test program uses some of it")]
+
 use std::path::{Path, PathBuf};
 
 use glam::DVec3;

@@ -1,13 +1,12 @@
 //! chart.html: curves, crops and numbers on one page; no network, no libraries, pictures beside it.
 
-use std::io::Write;
 use std::path::Path;
 
-use maud::{DOCTYPE, Markup, PreEscaped, html};
+use maud::{DOCTYPE, Markup, html};
 
 use super::{Chart, Curve, Point, sentence, signed};
 use crate::report::ReportError;
-use crate::report::html::STYLE;
+use crate::report::html;
 use crate::report::text::per_cent;
 
 /// Writes chart.html; `curves` and `crops` are file names beside it.
@@ -17,24 +16,18 @@ pub fn write_page(
     curves: &str,
     crops: &str,
 ) -> Result<(), ReportError> {
-    let page = page(chart, curves, crops).into_string();
-    crate::photo::atomic::write(path, |file| file.write_all(page.as_bytes()))
-        .map_err(|cause| ReportError { path: path.to_owned(), cause })
+    html::write_page(path, &page(chart, curves, crops))
 }
 
 fn page(chart: &Chart, curves: &str, crops: &str) -> Markup {
     let [width, height] = chart.size;
+    let title = format!("{}: speed against accuracy", chart.name);
     html! {
         (DOCTYPE)
         html lang="en" {
-            head {
-                meta charset="utf-8";
-                meta name="viewport" content="width=device-width";
-                title { (chart.name) ": speed against accuracy – Platelight" }
-                style { (PreEscaped(STYLE)) "body{max-width:1400px}.paper{background:#fff}" }
-            }
+            (html::head(&title, "body{max-width:1400px}.paper{background:#fff}"))
             body {
-                h1 { (chart.name) ": speed against accuracy" }
+                h1 { (title) }
                 @if let Some(verdict) = &chart.verdict { p { (sentence(verdict)) "." } }
                 p.note {
                     (width) " × " (height) " px, 1/" (chart.reduced) " of the plate. The reference, the \
