@@ -79,7 +79,9 @@ fn what_is_wrong_is_told_before_any_work() {
     for (arguments, told) in [
         (vec![empty, "--methods", "coupeld"], "did you mean coupled?"),
         (vec![empty, "--scale", "1.5"], "--scale: 1.5"),
-        (vec![empty, "--time", "0"], "--time: 0 s"),
+        (vec![empty, "--time", "0"], "--time: \"0\" is no time; write seconds above 0"),
+        (vec![empty, "--time", "1s"], "--time: 1s is not 2 s or more"),
+        (vec![empty, "--time", "-3"], "--time: \"-3\" is no time"),
         (vec!["no/such/shot"], "no/such/shot"),
         (vec![empty], "object: there is none"),
         (vec![text(&empties[1])], "object: there is none"),

@@ -9,6 +9,7 @@ use crate::shot::ShotFile;
 use crate::shot::batch::out_folder;
 use crate::shot::chart::{ChartOptions, all, chart, named};
 use crate::shot::run::RunError;
+use crate::shot::stop::StopKeys;
 
 /// Chart speed against accuracy of every method on a shot
 #[derive(Debug, clap::Args)]
@@ -30,15 +31,16 @@ pub struct Args {
     /// Folder for the results [default: out/chart/ beside the shot file]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
-    /// Be done after about this many seconds, preparation included
-    #[arg(long, value_name = "SECONDS", default_value_t = 180.0)]
-    time: f64,
+    /// Be done after about this long (60, 60s, 5m, 2h), preparation included; every method is rendered
+    /// once, though that may take longer
+    #[arg(long, value_name = "TIME", default_value = "180s", allow_negative_numbers = true)]
+    time: String,
     /// Methods to hold against the shot's own settings, separated by commas [default: all]
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     methods: Vec<String>,
     /// Size of the picture rendered, as a share of the plate's: 1, 0.5, 0.333 … [default: what fits
     /// the time]
-    #[arg(long, value_name = "SHARE")]
+    #[arg(long, value_name = "SHARE", allow_negative_numbers = true)]
     scale: Option<f64>,
 }
 
@@ -52,12 +54,16 @@ const LEAST_SECONDS: f64 = 2.0;
 const LEAST_SCALE: f64 = 0.001;
 
 pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
-    if !(args.time >= LEAST_SECONDS && args.time.is_finite()) {
-        return Err(CliError::wrong(format!(
-            "--time: {} s is not {LEAST_SECONDS} s or more; a chart needs many renderings",
-            args.time
-        )));
-    }
+    let told = |problem: String| CliError::wrong(format!("--time: {problem}"));
+    let seconds = match StopKeys::time(&args.time).map_err(told)? {
+        StopKeys::Time(seconds) if seconds >= LEAST_SECONDS => seconds,
+        _ => {
+            return Err(told(format!(
+                "{} is not {LEAST_SECONDS} s or more; a chart needs many renderings",
+                args.time
+            )));
+        }
+    };
     let reduced = match args.scale {
         Some(scale) if !(LEAST_SCALE..=1.0).contains(&scale) => {
             return Err(CliError::wrong(format!(
@@ -69,7 +75,7 @@ pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
     let rows = named(&args.methods).map_err(CliError::wrong)?;
     let shot = ShotFile::read(&args.shot).map_err(|e| CliError::several(e.problems()))?;
     let out = args.out.clone().unwrap_or_else(|| out_folder(&shot.path, None).join("chart"));
-    let options = ChartOptions { seconds: args.time, rows, reduced };
+    let options = ChartOptions { seconds, rows, reduced };
     let terminal = Terminal::new(global);
     let charted = chart(shot, &out, &options, &global.context(), &terminal);
     terminal.finish();

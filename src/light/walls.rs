@@ -12,7 +12,7 @@ use crate::conventions::{Rgb, lat_long_direction, lat_long_solid_angle};
 /// Walls are cut into parts as large as a cell of this grid over the probe's sphere.
 const COLUMNS: usize = 512;
 const ROWS: usize = 256;
-/// Rays for irradiance where parts of the walls may hide each other, a square number.
+/// Rays for irradiance where parts of the walls may hide each other are this many squared.
 const RAYS_PER_SIDE: u32 = 48;
 
 /// A proxy and what shines from it.

@@ -25,7 +25,7 @@ pub const CELLS: usize = 256;
 const SMALL_CELL: f32 = 0.03;
 const MOST_IN_SMALL: f32 = 0.25;
 /// Beside them, each sun is one.
-const MOST_CELLS: usize = CELLS + 64;
+pub(super) const MOST_CELLS: usize = CELLS + 64;
 /// Draws where all of a point's light may be blocked.
 const MOST_DRAWS: f32 = 8.0;
 /// Golden ratio: steps of a Kronecker sequence.

@@ -144,8 +144,7 @@ impl World<'_> {
     /// The look from a local point that the camera sees.
     ///
     /// Where a control variate holds nearly all of L_without, and its draws do not serve the blocked
-    /// light as well, what is left of it is asked for in
-    /// every [`WITHOUT_EVERY`]th sample only.
+    /// light as well, what is left of it is asked for in every [`WITHOUT_EVERY`]th sample only.
     fn look_of_camera(&self, point: &LocalPoint, control: Option<Rgb>, sampler: Sampler) -> Pair {
         let onward = sampler.descend(0);
         let (Some(control), true) = (control, self.by_cells && !self.flat) else {

@@ -18,11 +18,13 @@ use crate::light::{Lamp, Proxy};
 /// Light from a part of the sphere.
 #[derive(Clone, Copy)]
 pub struct Source {
+    /// Unit, to the middle of the cap that holds the part.
     pub direction: Vec3,
+    /// Half-angle of the cap, radians, with its sine and cosine.
+    pub radius: f32,
     pub sin: f32,
     pub cos: f32,
-    pub radius: f32,
-    /// ∫ L dω
+    /// ∫ L dω, in the plate's scale.
     pub flux: Rgb,
     /// Largest radiance, if the part is wide; a sun is taken whole.
     pub brightest: Option<Rgb>,
@@ -49,8 +51,7 @@ impl Source {
         // The rest is rounding's.
         let nearness = s / distance * 1.001;
         if !(nearness < 1.0) {
-            let whole = Self::new(self.direction, PI, Rgb::INFINITY, self.brightest);
-            return whole;
+            return Self::new(self.direction, PI, Rgb::INFINITY, self.brightest);
         }
         let radius = (self.radius + nearness.asin()).min(PI);
         let growth = (1.0 + s / height) / (1.0 - nearness).powi(3);

@@ -9,7 +9,7 @@ use std::sync::Arc;
 use glam::{DVec2, Vec2, Vec3};
 
 use super::albedo::AlbedoMap;
-use super::blocked::{CELLS, cells_pay};
+use super::blocked::{CELLS, MOST_CELLS, cells_pay};
 use super::glow::Glow;
 use super::sampler::{Purpose, Sampler};
 use super::skylight::Skylight;
@@ -162,7 +162,8 @@ impl<'a> World<'a> {
         self.by_cells = match technique.blocked {
             Blocked::Auto => self.by_cells,
             Blocked::Draws => false,
-            Blocked::Cells | Blocked::Patches(_) | Blocked::MedianCut(_) => true,
+            Blocked::Cells => self.cells.len() <= MOST_CELLS,
+            Blocked::Patches(_) | Blocked::MedianCut(_) => true,
         };
         if technique.draws != Draws::AsMade {
             self.lights = Cow::Owned(self.lights.with_draws(technique.draws));

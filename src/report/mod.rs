@@ -12,7 +12,7 @@ mod text;
 
 pub use canvas::Canvas;
 pub use html::{shot_name, write_html};
-pub use text::{length, summary};
+pub use text::{length, per_cent, summary};
 
 use std::io::Write;
 use std::path::{Path, PathBuf};

@@ -69,7 +69,7 @@ pub(super) fn denoised(gain: Option<f64>) -> String {
 }
 
 /// A share as per cent with two figures that count.
-pub(super) fn per_cent(share: f64) -> String {
+pub fn per_cent(share: f64) -> String {
     let percent = 100.0 * share;
     let digits = if percent == 0.0 || percent >= 10.0 {
         0

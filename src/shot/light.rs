@@ -252,6 +252,8 @@ pub fn light(
     report.seen_share = seen_share(&panorama);
 
     let mut suns = judge_clipped(&mut panorama, around, &mut report, &mut warnings)?;
+    // Also of what turns out to be a lamp's
+    let sigma_sun = suns.iter().map(|(_, sigma)| *sigma).reduce(f64::max);
     let room = Room { plan, scene: around.scene, local: around.local };
     let near = NearField::find(&room, &mut panorama, &mut suns);
     warnings.extend(near.warnings);
@@ -267,7 +269,6 @@ pub fn light(
     };
     let found = Lights::new(&panorama, &options)
         .map_err(|error| format!("{}: probe: {error}", plan.shot.path.display()))?;
-    let sigma_sun = suns.iter().map(|(_, sigma)| *sigma).reduce(f64::max);
     let lights = found.with_discs(suns.into_iter().map(|(disc, _)| disc));
     let place = around.scene.from_world(panorama.place);
     let lights = lights.near(place, near.proxy, near.lamps);

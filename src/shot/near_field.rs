@@ -12,7 +12,7 @@ use super::probe_keys::{ProbeSource, Surroundings};
 use crate::light::near_field::{distant_error, is_near};
 use crate::light::{Disc, Lamp, NoLamp, Proxy, take_out_lamp};
 use crate::probe::Panorama;
-use crate::report::{LampReport, Warning};
+use crate::report::{self, LampReport, Warning};
 use crate::scene::{Mesh, Model, Scene};
 use crate::trace::{Accel, Ray};
 
@@ -233,7 +233,7 @@ fn beside(key: &str, off_rad: f64, distance: f64) -> Warning {
     )
 }
 
-/// Objects or support points beyond the box see distant light.
+/// Objects beyond the box see distant light.
 fn outside(key: &str, proxy: &Proxy, room: &Room) -> Option<Warning> {
     let [min, max] = place::object_box(room.plan)?;
     let corner = |k: usize| {
@@ -300,7 +300,7 @@ fn reach(plan: &Plan, probe: DVec3) -> f64 {
 }
 
 fn per_cent(error: f64) -> String {
-    if error < 1.0 { format!("{:.0} %", 100.0 * error) } else { "100 % or more".to_owned() }
+    if error < 1.0 { report::per_cent(error) } else { "100 % or more".to_owned() }
 }
 
 #[cfg(test)]
@@ -354,7 +354,7 @@ mod tests {
     #[test]
     fn what_is_far_enough_is_a_note_and_what_is_not_found_a_warning() {
         let note = far_enough("surroundings.box", "the nearest wall is 50.00 m away", 0.01);
-        assert!(!note.asks && note.size.contains("1 %"), "{note}");
+        assert!(!note.asks && note.size.contains("1.0 %"), "{note}");
         let why = NoLamp::NotHot { excess: 0.001, surroundings: 0.4 };
         let cold = not_found("lamp[1]", why, false, 2.0);
         assert!(cold.asks && cold.message.contains("take it out if it is off"), "{cold}");

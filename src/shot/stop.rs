@@ -95,7 +95,8 @@ fn no_time(found: impl fmt::Display) -> Result<StopKeys, String> {
 impl fmt::Display for StopKeys {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
         match self {
-            Self::Error(error) => write!(f, "error {} %", 100.0 * error),
+            // 0.022 as 2.2, not as 2.1999999999999997
+            Self::Error(error) => write!(f, "error {} %", (1e8 * error).round() / 1e6),
             Self::Time(seconds) => write!(f, "{seconds} s in all"),
             Self::Samples(samples) => write!(f, "{samples} samples a pixel"),
         }
@@ -116,6 +117,14 @@ mod tests {
         for text in ["", "s", "soon", "0", "0s", "-5m", "infs", "nan", "60 é", "5d"] {
             let said = StopKeys::time(text).expect_err(text);
             assert!(said.contains(&format!("\"{text}\" is no time; write")), "{said}");
+        }
+    }
+
+    #[test]
+    fn an_error_is_said_as_it_was_written() {
+        for (share, said) in [(0.022, "error 2.2 %"), (0.01, "error 1 %"), (1e-5, "error 0.001 %")]
+        {
+            assert_eq!(StopKeys::Error(share).to_string(), said);
         }
     }
 

@@ -85,6 +85,9 @@ pub struct Verdict {
     pub error: f64,
     pub best: &'static str,
     pub best_error: f64,
+    /// That cost lies beyond the method's own renderings: the error is what Monte Carlo would make of
+    /// the last of them, which knows nothing of what a rendering costs before its first sample.
+    pub extrapolated: bool,
 }
 
 /// The best that was rendered: what the others are held against.
@@ -219,16 +222,17 @@ fn signed(share: f64) -> String {
 fn sentence(verdict: &Verdict) -> String {
     let percent = super::text::per_cent;
     let at = format!("at {:.2} CPU s", verdict.cpu_seconds);
+    let how = if verdict.extrapolated { " if its last rendering went on" } else { "" };
     if verdict.ratio() <= 1.0 {
         return format!(
-            "{at} no unbiased method has less error than the shot's settings ({}; next is {}, {})",
+            "{at} no unbiased method has less error than the shot's settings ({}; next is {}, {}{how})",
             percent(verdict.error),
             verdict.best,
             percent(verdict.best_error)
         );
     }
     format!(
-        "{at} the shot's settings have {:.2} times the error of the best unbiased method ({}; {}, {})",
+        "{at} the shot's settings have {:.2} times the error of the best unbiased method ({}; {}, {}{how})",
         verdict.ratio(),
         percent(verdict.error),
         verdict.best,
@@ -280,7 +284,13 @@ pub(super) mod tests {
                 curve("median-cut-64", Group::Lights, 0.9, Some("what lies between")),
             ],
             chosen: Some(point(4.0, 0.01)),
-            verdict: Some(Verdict { cpu_seconds: 4.0, error: 0.01, best: "mis", best_error: 0.02 }),
+            verdict: Some(Verdict {
+                cpu_seconds: 4.0,
+                error: 0.01,
+                best: "mis",
+                best_error: 0.02,
+                extrapolated: false,
+            }),
             notes: vec!["a note".to_owned()],
             files: Vec::new(),
         }

@@ -376,12 +376,17 @@ fn verdict(curves: &[Curve], chosen: Option<&Point>) -> Option<Verdict> {
     let (auto, others) = curves.split_first()?;
     let point = chosen.filter(|point| point.error.is_some());
     let point = point.or_else(|| auto.points.iter().rev().find(|point| point.error.is_some()))?;
-    let (best, best_error) = others
+    let (best, best_error, extrapolated) = others
         .iter()
         .filter(|curve| curve.bias.is_none())
-        .filter_map(|curve| Some((curve.name, error_at(curve, point.cpu_seconds)?)))
+        .filter_map(|curve| {
+            let last = curve.points.iter().map(|point| point.cpu_seconds).fold(0.0, f64::max);
+            let beyond = point.cpu_seconds > 1.1 * last;
+            Some((curve.name, error_at(curve, point.cpu_seconds)?, beyond))
+        })
         .min_by(|a, b| a.1.total_cmp(&b.1))?;
-    Some(Verdict { cpu_seconds: point.cpu_seconds, error: point.error?, best, best_error })
+    let (cpu_seconds, error) = (point.cpu_seconds, point.error?);
+    Some(Verdict { cpu_seconds, error, best, best_error, extrapolated })
 }
 
 /// What the reference's own error means for the best of the others.
@@ -437,7 +442,9 @@ mod tests {
         ];
         let found = verdict(&curves, None).unwrap();
         assert_eq!((found.best, found.cpu_seconds), ("fast", 2.0));
-        assert!((found.ratio() - 2.0).abs() < 1e-9);
+        assert!((found.ratio() - 2.0).abs() < 1e-9 && !found.extrapolated);
+        let dear = Point { cpu_seconds: 8.0, ..curves[0].points[2] };
+        assert!(verdict(&curves, Some(&dear)).unwrap().extrapolated);
         assert!(verdict(&curves[..1], None).is_none());
     }
 }
