@@ -65,6 +65,14 @@ pub fn lat_long_solid_angle(row: usize, width: usize, height: usize) -> f64 {
     2.0 * PI / width as f64 * (top - bottom)
 }
 
+/// 1 − cos α of an angle with this sin² α, 0 ≤ α ≤ ½π, without the cancellation of small angles: the
+/// height of the cap of the unit sphere in which a ball is seen, whose solid angle is 2π times that.
+///
+/// A ball of radius r, seen from the distance d of its centre, has sin² α = r² / d².
+pub fn cap_height(sin2: f32) -> f32 {
+    sin2 / (1.0 + (1.0 - sin2).max(0.0).sqrt())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -100,6 +108,16 @@ mod tests {
             let sum: f64 =
                 (0..height).map(|j| width as f64 * lat_long_solid_angle(j, width, height)).sum();
             assert!((sum - 4.0 * PI).abs() < 1e-12);
+        }
+    }
+
+    #[test]
+    fn caps_of_tiny_angles_keep_their_height() {
+        for angle in [1e-6_f64, 4.65e-3, 0.3, 0.5 * PI] {
+            let height = f64::from(cap_height(angle.sin().powi(2) as f32));
+            let wanted = 2.0 * (0.5 * angle).sin().powi(2);
+            // Half an ulp each of sin², root, sum and quotient
+            assert!((height / wanted - 1.0).abs() < 3e-7, "{angle}: {height} for {wanted}");
         }
     }
 

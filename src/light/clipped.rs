@@ -228,11 +228,11 @@ fn by_shadow(stage: &Stage, grid: &SupportGrid, sun: DVec3) -> Option<Evidence> 
     let estimates: Vec<DVec3> = grid
         .split_tiles()
         .iter()
-        .map(|[lit, shadowed]| {
-            let ratio = median_radiance(lit) / median_radiance(shadowed);
+        .filter_map(|[lit, shadowed]| {
+            let ratio = median_radiance(lit)? / median_radiance(shadowed)?;
             let cos = lit[0].normal.dot(sun);
-            (ratio * mean_known_irradiance(stage, shadowed) - mean_known_irradiance(stage, lit))
-                / cos
+            let [lit, shadowed] = [lit, shadowed].map(|side| mean_known_irradiance(stage, side));
+            Some((ratio * shadowed - lit) / cos)
         })
         .filter(|e| e.is_finite())
         .collect();
@@ -254,7 +254,7 @@ fn by_support_albedo(stage: &Stage, grid: &SupportGrid, sun: DVec3) -> Option<Ev
     let centre = lit.get(lit.len() / 2)?;
     let cos = centre.normal.dot(sun);
     let known = stage.known_irradiance(centre.point, centre.normal);
-    let total = median_radiance(&lit) * PI / albedo.as_dvec3();
+    let total = median_radiance(&lit)? * PI / albedo.as_dvec3();
     let irradiance_normal = (total - known) / cos;
     if !irradiance_normal.is_finite() || irradiance_normal.min_element() <= 0.0 {
         return None;

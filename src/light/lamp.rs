@@ -11,7 +11,7 @@ use std::f32::consts::{PI, TAU};
 use glam::{DVec2, Vec3};
 
 use super::LightSample;
-use crate::conventions::Rgb;
+use crate::conventions::{Rgb, cap_height};
 
 /// A round lamp of one radiance.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -57,7 +57,7 @@ impl Lamp {
             return None;
         }
         let (distance, sin2) = (distance2.sqrt(), radius2 / distance2);
-        Some(View { axis: to / distance, distance, height: sin2 / (1.0 + (1.0 - sin2).sqrt()) })
+        Some(View { axis: to / distance, distance, height: cap_height(sin2) })
     }
 
     /// Solid angle seen from a place, sr; 0 from inside.

@@ -9,6 +9,7 @@ use std::f32::consts::PI;
 use glam::{DQuat, DVec2, DVec3, Vec3};
 
 use super::environment::repair;
+use super::median::median_per_channel;
 use crate::bracket::Validity;
 use crate::conventions::{Rgb, SUN_HALF_ANGLE_RAD, lat_long_direction, lat_long_solid_angle};
 use crate::photo::Image;
@@ -252,7 +253,7 @@ fn lift(radiance: &mut Image<Rgb>, cluster: &Cluster, world_from_map: DQuat) -> 
         .filter(|t| inside.binary_search(t).is_err())
         .map(|t| radiance.pixels()[t])
         .collect();
-    let fill = median_per_channel(&ring);
+    let fill = median_per_channel(&ring).unwrap_or(Rgb::ZERO);
 
     let (mut flux, mut centroid) = (DVec3::ZERO, DVec3::ZERO);
     for &t in &inside {
@@ -280,18 +281,6 @@ fn lift(radiance: &mut Image<Rgb>, cluster: &Cluster, world_from_map: DQuat) -> 
     };
     disc.radiance = flux.as_vec3() / disc.solid_angle();
     Some(disc)
-}
-
-fn median_per_channel(colours: &[Rgb]) -> Rgb {
-    if colours.is_empty() {
-        return Rgb::ZERO;
-    }
-    let channel = |c: usize| {
-        let mut values: Vec<f32> = colours.iter().map(|l| l[c]).collect();
-        values.sort_unstable_by(f32::total_cmp);
-        values[values.len() / 2]
-    };
-    Rgb::new(channel(0), channel(1), channel(2))
 }
 
 #[cfg(test)]

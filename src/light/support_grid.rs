@@ -7,6 +7,7 @@
 use glam::{DVec2, DVec3};
 
 use super::clipped::Stage;
+use super::median::median_per_channel;
 use crate::conventions::Rgb;
 use crate::photo::Image;
 use crate::scene::LocalRole;
@@ -115,12 +116,8 @@ impl SupportGrid {
     }
 }
 
-/// Per-channel median radiance.
-pub(super) fn median_radiance(samples: &[SupportSample]) -> DVec3 {
-    let channel = |c: usize| {
-        let mut values: Vec<f32> = samples.iter().map(|s| s.radiance[c]).collect();
-        values.sort_by(f32::total_cmp);
-        f64::from(values[values.len() / 2])
-    };
-    DVec3::new(channel(0), channel(1), channel(2))
+/// Per-channel median radiance; `None` of no samples.
+pub(super) fn median_radiance(samples: &[SupportSample]) -> Option<DVec3> {
+    let colours: Vec<Rgb> = samples.iter().map(|sample| sample.radiance).collect();
+    median_per_channel(&colours).map(|median| median.as_dvec3())
 }

@@ -4,8 +4,9 @@ use std::f64::consts::PI;
 
 use glam::{DVec2, DVec3};
 
+use super::median::median_per_channel;
 use crate::bracket::Validity;
-use crate::conventions::{Rgb, lat_long_direction, luminance};
+use crate::conventions::{Rgb, cap_height, lat_long_direction, luminance};
 use crate::probe::Panorama;
 
 /// What stands in a cone of the panorama, and round it.
@@ -43,15 +44,10 @@ impl Spot {
                 }
             }
         }
-        if ring.is_empty() || texels.is_empty() {
+        if texels.is_empty() {
             return None;
         }
-        let channel = |c: usize| {
-            let mut values: Vec<f32> = ring.iter().map(|l| l[c]).collect();
-            values.sort_by(f32::total_cmp);
-            values[values.len() / 2]
-        };
-        let surroundings = Rgb::new(channel(0), channel(1), channel(2));
+        let surroundings = median_per_channel(&ring)?;
         let (mut flux, mut centroid, mut seen, mut all) = (DVec3::ZERO, DVec3::ZERO, 0.0, 0.0);
         for &(x, y) in &texels {
             let solid_angle = panorama.solid_angle(y);
@@ -139,8 +135,7 @@ pub fn take_out_lamp(
     if spot.seen < 0.5 {
         return Err(NoLamp::Unseen);
     }
-    // 1 − cos α without cancellation.
-    let solid_angle = 2.0 * PI * sin * sin / (1.0 + (1.0 - sin * sin).sqrt());
+    let solid_angle = 2.0 * PI * f64::from(cap_height((sin * sin) as f32));
     let radiance = (spot.flux / solid_angle).as_vec3().max(Rgb::ZERO);
     let (excess, surroundings) = (luminance(radiance), luminance(spot.surroundings));
     if excess <= HOT_SHARE * surroundings {

@@ -9,6 +9,7 @@ use std::f32::consts::{PI, TAU};
 use glam::{Vec2, Vec3};
 
 use super::world::PartBall;
+use crate::conventions::cap_height;
 
 const MOST: usize = 16;
 
@@ -66,7 +67,7 @@ impl Cones {
             }
             cones.above = true;
             let weight = sin2 * (elevation + 0.5 * sin).max(0.05 * sin);
-            let height = sin2 / (1.0 + (1.0 - sin2).sqrt());
+            let height = cap_height(sin2);
             sum += weight;
             cones.caps[cones.n] = Cap {
                 axis,

@@ -195,7 +195,8 @@ impl Cap {
 
     /// Bound of the cap's projected solid angle over π.
     fn projected(&self, normal: Vec3, spread: f32) -> f32 {
-        let solid_angle_over_pi = 2.0 * (1.0 - self.half_angle.cos());
+        // 2 (1 − cos) without its cancellation
+        let solid_angle_over_pi = 4.0 * (0.5 * self.half_angle).sin().powi(2);
         (solid_angle_over_pi * self.largest_cosine(normal, spread)).min(1.0)
     }
 }

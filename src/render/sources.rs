@@ -11,7 +11,7 @@ use glam::Vec3;
 
 use super::influence::{Cap, cap};
 use super::world::{PartBall, World};
-use crate::conventions::Rgb;
+use crate::conventions::{Rgb, cap_height};
 use crate::light::cells::Cell;
 use crate::light::{Lamp, Proxy};
 
@@ -135,6 +135,6 @@ fn lamp_source(lamp: &Lamp, ball: &PartBall) -> Option<Source> {
     let sphere = PartBall { centre: lamp.centre, radius: lamp.radius };
     let Cap { axis, half_angle } = cap(&sphere, ball)?;
     let sin = (lamp.radius / (lamp.centre.distance(ball.centre) - ball.radius)).min(1.0);
-    let solid_angle = 2.0 * PI * sin * sin / (1.0 + (1.0 - sin * sin).sqrt());
+    let solid_angle = 2.0 * PI * cap_height(sin * sin);
     Some(Source::new(axis, half_angle, lamp.radiance * solid_angle, None))
 }

@@ -14,6 +14,7 @@ use super::{overlays, place};
 use crate::camera;
 use crate::composite::{Composite, Encoded, Mode, compose};
 use crate::conventions::Rgb;
+use crate::light::median_per_channel;
 use crate::photo::Image;
 use crate::probe;
 use crate::render::Difference;
@@ -185,7 +186,7 @@ fn report_of(done: Finish, composed: &Composed) -> Report {
             reason: composed.reason.to_owned(),
             tally: composed.composite.tally,
             clamped: composed.encoded.clamped,
-            albedo_median: median(&solved),
+            albedo_median: median_per_channel(&solved).map(|albedo| albedo.as_dvec3().to_array()),
         },
         ..Report::default()
     }
@@ -351,19 +352,6 @@ fn solved_albedos(scene: &Scene, layer: &Image<Rgb>) -> Vec<Rgb> {
     layer.pixels().iter().copied().filter(is_solved).collect()
 }
 
-/// Median per channel; `None` of none.
-fn median(albedos: &[Rgb]) -> Option<[f64; 3]> {
-    if albedos.is_empty() {
-        return None;
-    }
-    Some([0, 1, 2].map(|channel| {
-        let mut values: Vec<f32> = albedos.iter().map(|a| a.to_array()[channel]).collect();
-        let middle = values.len() / 2;
-        let (_, &mut median, _) = values.select_nth_unstable_by(middle, f32::total_cmp);
-        f64::from(median)
-    }))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -377,7 +365,6 @@ mod tests {
         let given = [AlbedoSource::Constant(white), AlbedoSource::Plate].map(local);
         let scene = Scene { local: given.to_vec(), ..Scene::default() };
         let solved = solved_albedos(&scene, &layer);
-        assert_eq!(median(&solved), Some([f64::from(0.3f32); 3]));
-        assert_eq!(median(&[]), None);
+        assert_eq!(median_per_channel(&solved), Some(Rgb::splat(0.3)));
     }
 }
