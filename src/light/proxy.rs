@@ -18,11 +18,11 @@ use crate::trace::{Accel, Hit, Ray};
 #[derive(Clone, Debug)]
 pub struct Proxy {
     centre: Vec3,
-    walls: Walls,
+    shape: Shape,
 }
 
 #[derive(Clone, Debug)]
-enum Walls {
+enum Shape {
     Box { min: Vec3, max: Vec3 },
     Mesh(Arc<Room>),
 }
@@ -57,7 +57,7 @@ impl Proxy {
     /// A box with walls along the axes; `None` if `centre` is not inside.
     pub fn of_box(centre: Vec3, min: Vec3, max: Vec3) -> Option<Self> {
         let inside = centre.cmpgt(min).all() && centre.cmplt(max).all();
-        inside.then_some(Self { centre, walls: Walls::Box { min, max } })
+        inside.then_some(Self { centre, shape: Shape::Box { min, max } })
     }
 
     /// Walls of any shape; `None` if the meshes hold no triangle.
@@ -67,7 +67,7 @@ impl Proxy {
             return None;
         }
         let least = ON_THE_WALL * accel.bounds().diameter();
-        Some(Self { centre, walls: Walls::Mesh(Arc::new(Room { meshes, accel, least })) })
+        Some(Self { centre, shape: Shape::Mesh(Arc::new(Room { meshes, accel, least })) })
     }
 
     /// Where the panorama was taken.
@@ -77,26 +77,26 @@ impl Proxy {
 
     /// True if every place inside sees all walls: there the density is exact everywhere.
     pub fn is_convex(&self) -> bool {
-        matches!(self.walls, Walls::Box { .. })
+        matches!(self.shape, Shape::Box { .. })
     }
 
     /// False if light is taken as distant at this place.
     pub fn holds(&self, place: Vec3) -> bool {
-        match &self.walls {
-            Walls::Box { min, max } => {
+        match &self.shape {
+            Shape::Box { min, max } => {
                 let slack = (*max - *min) * ON_THE_WALL;
                 place.cmpge(*min - slack).all() && place.cmple(*max + slack).all()
             }
-            Walls::Mesh(_) => true,
+            Shape::Mesh(_) => true,
         }
     }
 
     /// The panorama's direction that a ray from `from` along `direction` sees.
     pub fn seen(&self, from: Vec3, direction: Vec3) -> Turned {
         let distant = Turned { direction, density: 1.0 };
-        match &self.walls {
-            Walls::Box { .. } if !self.holds(from) => distant,
-            Walls::Box { min, max } => {
+        match &self.shape {
+            Shape::Box { .. } if !self.holds(from) => distant,
+            Shape::Box { min, max } => {
                 let (point, normal) = leave_box(*min, *max, from, direction);
                 let to = point - self.centre;
                 Turned {
@@ -104,7 +104,7 @@ impl Proxy {
                     density: self.density(from, point, normal),
                 }
             }
-            Walls::Mesh(room) => match room.first(from, direction) {
+            Shape::Mesh(room) => match room.first(from, direction) {
                 None if room.first(self.centre, direction).is_none() => distant,
                 None => Turned { density: 0.0, ..distant },
                 Some((point, normal)) => {
@@ -122,12 +122,12 @@ impl Proxy {
 
     /// Where `from` sees what the probe sees in `direction`; `None` if it does not, or edge-on.
     pub fn toward(&self, from: Vec3, direction: Vec3) -> Option<Turned> {
-        let (point, normal) = match &self.walls {
-            Walls::Box { .. } if !self.holds(from) => {
+        let (point, normal) = match &self.shape {
+            Shape::Box { .. } if !self.holds(from) => {
                 return Some(Turned { direction, density: 1.0 });
             }
-            Walls::Box { min, max } => leave_box(*min, *max, self.centre, direction),
-            Walls::Mesh(room) => match room.first(self.centre, direction) {
+            Shape::Box { min, max } => leave_box(*min, *max, self.centre, direction),
+            Shape::Mesh(room) => match room.first(self.centre, direction) {
                 Some(found) if !room.between(from, found.0) => found,
                 Some(_) => return None,
                 None => {
@@ -155,8 +155,8 @@ impl Proxy {
     /// Distance from the probe to the nearest wall in an upward or level direction, metres: the floor
     /// is the support's business. `None` if nothing is met.
     pub fn nearest_wall(&self) -> Option<f32> {
-        match &self.walls {
-            Walls::Box { min, max } => {
+        match &self.shape {
+            Shape::Box { min, max } => {
                 let (low, high) = (self.centre - *min, *max - self.centre);
                 Some(
                     [low.x, low.z, high.x, high.y, high.z]
@@ -164,14 +164,14 @@ impl Proxy {
                         .fold(f32::INFINITY, f32::min),
                 )
             }
-            Walls::Mesh(room) => self.upward(room).flatten().reduce(f32::min),
+            Shape::Mesh(room) => self.upward(room).flatten().reduce(f32::min),
         }
     }
 
     /// Bounds for what the probe sees within `radius` of `direction`: the least distance to it, and the
     /// least distance to the plane of a wall there. 0 where nothing is known.
     pub fn nearest(&self, direction: Vec3, radius: f32) -> [f32; 2] {
-        let Walls::Box { min, max } = &self.walls else { return [0.0; 2] };
+        let Shape::Box { min, max } = &self.shape else { return [0.0; 2] };
         // Plane distance, and the range of distances along the directions, of each wall.
         let walls = (0..6).filter_map(|k| {
             let axis = k / 2;
@@ -194,9 +194,9 @@ impl Proxy {
 
     /// Share of the upper half sphere in which the probe sees no wall.
     pub fn open_share(&self) -> f64 {
-        match &self.walls {
-            Walls::Box { .. } => 0.0,
-            Walls::Mesh(room) => {
+        match &self.shape {
+            Shape::Box { .. } => 0.0,
+            Shape::Mesh(room) => {
                 self.upward(room).filter(Option::is_none).count() as f64 / f64::from(UPWARD_RAYS)
             }
         }
