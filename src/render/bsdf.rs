@@ -12,14 +12,15 @@
 //! metal and plastic is scaled by 1 + F₀ (1 − E) / E, with E the albedo of its lobe at reflectance 1. That
 //! goes by the view alone and is not quite reciprocal.
 
-use std::f32::consts::FRAC_1_PI;
+use std::f32::consts::{FRAC_1_PI, TAU};
 
 use glam::{Vec2, Vec3, vec3};
 
 use super::coat::Coat;
 use super::fresnel;
 use super::ggx::{self, SMOOTH_ALPHA};
-use super::sheen::{self, Sheen};
+use super::sampler::below_one;
+use super::sheen::Sheen;
 use crate::conventions::Rgb;
 
 /// A glTF material's scattering at one point.
@@ -158,7 +159,7 @@ impl Bsdf {
             value *= sheen.kept(wo, wi);
             if wi.z > 0.0 {
                 value += sheen.evaluate(wo, wi);
-                pdf += shares.sheen * FRAC_1_PI * 0.5;
+                pdf += shares.sheen * EVEN_PDF;
             }
         }
         if let Some(coat) = &self.coat {
@@ -173,11 +174,14 @@ impl Bsdf {
         (value, pdf)
     }
 
-    /// Draws a direction; `choice` in [0, 1) picks the lobe. `None` where the light is lost.
+    /// Draws a direction by `u` in [0, 1]²; `choice` in [0, 1) picks the lobe. `None` where the light is
+    /// lost.
     pub fn sample(&self, wo: Vec3, u: Vec2, choice: f32) -> Option<Scattered> {
         if wo.z <= 0.0 {
             return None;
         }
+        // Numbers in f64 below 1 may be 1 in f32, where lobes have their edges
+        let u = u.map(below_one);
         let shares = self.layer_shares(wo);
         if let Some(coat) = self.coat.filter(|_| choice < shares.coat) {
             let wi = coat.sample(wo, u).filter(|wi| wi.z > 0.0)?;
@@ -188,7 +192,8 @@ impl Bsdf {
         }
         let rest = choice - shares.coat;
         if rest < shares.sheen {
-            return self.finish(wo, sheen::sample_uniform(u));
+            // Sheen has no peak that is worth more than the rest of it
+            return self.finish(wo, sample_even(u));
         }
         let choice = ((rest - shares.sheen) / shares.base).clamp(0.0, 1.0 - f32::EPSILON);
         let drawn = self.sample_base(wo, u, choice)?;
@@ -380,6 +385,17 @@ impl Bsdf {
 
 fn mirror(direction: Vec3, weight: Rgb) -> Option<Scattered> {
     (direction.z != 0.0).then_some(Scattered { direction, weight, pdf: f32::INFINITY })
+}
+
+/// Density per steradian of [`sample_even`].
+pub const EVEN_PDF: f32 = 0.5 * FRAC_1_PI;
+
+/// A direction of the hemisphere about +z, all alike.
+pub fn sample_even(u: Vec2) -> Vec3 {
+    let z = 1.0 - u.x;
+    let radius = (1.0 - z * z).max(0.0).sqrt();
+    let (sin, cos) = (TAU * u.y).sin_cos();
+    vec3(radius * cos, radius * sin, z.max(1e-7))
 }
 
 /// A cosine-weighted direction about +z (Shirley & Chiu's concentric map keeps strata compact).

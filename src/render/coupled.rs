@@ -21,11 +21,11 @@ use glam::Vec3;
 
 use super::Context;
 use super::albedo::AlbedoMap;
-use super::bsdf::Bsdf;
+use super::bsdf::{EVEN_PDF, sample_even};
 use super::cones::Cones;
 use super::film::{Pair, Sample};
 use super::primary::Primary;
-use super::sampler::{Purpose, Sampler, to_f32};
+use super::sampler::{Purpose, Sampler, below_one, to_f32};
 use super::surface::{Colouring, LocalPoint, Surface};
 use super::technique::WIDE_PDF;
 use super::waves::Estimator;
@@ -299,9 +299,7 @@ impl World<'_> {
             // Sample the BSDF and go on
             let u = sampler.pair(Purpose::Direction).as_vec2();
             let choice = sampler.one(Purpose::Choice);
-            let Some(scattered) = sample_clamped(&surface.bsdf, surface.wo, u, choice) else {
-                break;
-            };
+            let Some(scattered) = surface.bsdf.sample(surface.wo, u, choice) else { break };
             let direction = surface.to_world(scattered.direction);
             if (scattered.direction.z > 0.0) != (surface.geometric.dot(direction) > 0.0) {
                 break;
@@ -371,25 +369,6 @@ pub(super) fn purpose_of(stratum: usize) -> Purpose {
     }
 }
 
-fn sample_clamped(
-    bsdf: &Bsdf,
-    wo: Vec3,
-    u: glam::Vec2,
-    choice: f32,
-) -> Option<super::bsdf::Scattered> {
-    bsdf.sample(wo, u.min(glam::Vec2::splat(1.0 - f32::EPSILON / 2.0)), choice)
-}
-
-/// Density per steradian of [`even_hemisphere`].
-const EVEN_PDF: f32 = 0.5 * std::f32::consts::FRAC_1_PI;
-
-/// A direction anywhere above the surface, local frame.
-fn even_hemisphere(u: glam::Vec2) -> Vec3 {
-    let radius = ((1.0 - u.x) * (1.0 + u.x)).sqrt();
-    let (sin, cos) = (std::f32::consts::TAU * u.y).sin_cos();
-    Vec3::new(radius * cos, radius * sin, u.x.max(1e-6))
-}
-
 /// One look from a local point, with what its draws share.
 struct Look<'w> {
     world: &'w World<'w>,
@@ -447,13 +426,12 @@ impl Look<'_> {
             let (value, bsdf_pdf) = surface.evaluate(direction);
             (direction, value, bsdf_pdf)
         } else if self.evenly {
-            let direction = surface.to_world(even_hemisphere(u));
+            let direction = surface.to_world(sample_even(u));
             let (value, bsdf_pdf) = surface.evaluate(direction);
             (direction, value, bsdf_pdf)
         } else {
-            let choice = ((choice - share) / (1.0 - share)).clamp(0.0, 1.0 - f32::EPSILON / 2.0);
-            let drawn = sample_clamped(&surface.bsdf, surface.wo, u, choice);
-            let Some(drawn) = drawn else { return };
+            let choice = below_one(((choice - share) / (1.0 - share)).max(0.0));
+            let Some(drawn) = surface.bsdf.sample(surface.wo, u, choice) else { return };
             let direction = surface.to_world(drawn.direction);
             if drawn.pdf.is_finite() {
                 let (value, bsdf_pdf) = surface.evaluate(direction);

@@ -89,7 +89,12 @@ impl Sampler {
 
 /// The largest f32 not above `u`, so that it stays below 1.
 pub fn to_f32(u: f64) -> f32 {
-    (u as f32).min(1.0 - f32::EPSILON / 2.0)
+    below_one(u as f32)
+}
+
+/// `u`, or the largest f32 below 1.
+pub fn below_one(u: f32) -> f32 {
+    u.min(1.0 - f32::EPSILON / 2.0)
 }
 
 /// A good bijective hash of 32 bits ("lowbias32", Wellons 2018).

@@ -10,7 +10,7 @@
 use std::f32::consts::PI;
 use std::sync::LazyLock;
 
-use glam::{Vec2, Vec3, vec3};
+use glam::Vec3;
 
 use super::energy::AlbedoTable;
 use crate::conventions::Rgb;
@@ -55,15 +55,6 @@ impl Sheen {
     fn raw_albedo(&self, w: Vec3) -> f32 {
         ALBEDO.look_up(w.z.abs(), self.alpha)
     }
-}
-
-/// A direction of the upper hemisphere, all alike, for which the density is 1 / 2π: the lobe has no
-/// peak that is worth more.
-pub fn sample_uniform(u: Vec2) -> Vec3 {
-    let z = 1.0 - u.x;
-    let radius = (1.0 - z * z).max(0.0).sqrt();
-    let (sin, cos) = (2.0 * PI * u.y).sin_cos();
-    vec3(radius * cos, radius * sin, z.max(1e-7))
 }
 
 fn distribution(sine2: f32, alpha: f32) -> f32 {
@@ -116,6 +107,8 @@ static ALBEDO: LazyLock<AlbedoTable> = LazyLock::new(|| {
 
 #[cfg(test)]
 mod tests {
+    use glam::vec3;
+
     use super::*;
 
     #[test]

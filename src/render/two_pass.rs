@@ -74,7 +74,6 @@ impl TwoPass<'_> {
                 radiance += throughput * self.lit(&surface, stratum, with, &sampler);
             }
             let u = sampler.pair(Purpose::Direction).as_vec2();
-            let u = u.min(glam::Vec2::splat(1.0 - f32::EPSILON / 2.0));
             let choice = sampler.one(Purpose::Choice);
             let Some(drawn) = surface.bsdf.sample(surface.wo, u, choice) else { break };
             let direction = surface.to_world(drawn.direction);
