@@ -45,10 +45,9 @@ pub struct Noisy {
 
 /// The filtered picture.
 pub struct Filtered {
-    pub value: Image<Rgb>,
-    /// `value` less the mean of the halves.
+    /// What is to be added to the mean of the halves.
     pub moved: Image<Rgb>,
-    /// Expected squared error of `value`, by channel: noise and what the filter smears.
+    /// Expected squared error of the sum, by channel: noise and what the filter smears.
     pub variance: Image<Rgb>,
 }
 
@@ -58,11 +57,7 @@ pub fn denoise(noisy: &Noisy) -> Filtered {
     let (width, height) = (groups.width(), groups.height());
     let (calm, spread) = calm(noisy);
     let [a, b] = &calm;
-    let over = |f: &(dyn Fn((usize, usize)) -> Rgb + Sync)| {
-        let rows: Vec<Rgb> =
-            (0..width * height).into_par_iter().map(|k| f((k % width, k / width))).collect();
-        image(width, height, rows)
-    };
+    let over = |f: &(dyn Fn((usize, usize)) -> Rgb + Sync)| image(width, height, f);
     // Variance of one half, and of its brightness
     let squared = over(&|p| 0.5 * (a[p] - b[p]).powf(2.0));
     let variance = smooth(&squared, groups, VARIANCE_REACH);
@@ -109,8 +104,7 @@ pub fn denoise(noisy: &Noisy) -> Filtered {
             + 2.0 * share[p] * rest * scatter[p]
             + spread[p] * spread[p]
     });
-    let value = over(&|p| 0.5 * (noisy.halves[0][p] + noisy.halves[1][p]) + moved[p]);
-    Filtered { value, moved, variance }
+    Filtered { moved, variance }
 }
 
 /// The halves without what each found by chance, and what that makes of the mean when it is spread
@@ -124,29 +118,24 @@ fn calm(noisy: &Noisy) -> ([Image<Rgb>; 2], Image<Rgb>) {
         let mean = smooth(other, groups, AROUND);
         let square = smooth(&other.map(|v| *v * *v), groups, AROUND);
         let at_large = smooth(&halves[half], groups, WIDE_REACH);
-        let excess: Vec<Rgb> = (0..width * height)
-            .into_par_iter()
-            .map(|k| {
-                let p = (k % width, k / width);
-                if groups[p] == 0 {
-                    return Rgb::ZERO;
-                }
-                let away = halves[half][p] - mean[p];
-                let sigma = (square[p] - mean[p] * mean[p]).max(Rgb::ZERO).map(f32::sqrt);
-                let (found, known) =
-                    (away.abs().max_element(), CHANCE_SIGMAS * sigma.max_element());
-                // It may be the other half that found something: then this one is as all around
-                let alone = (halves[half][p] - at_large[p]).abs().max_element();
-                if found <= known || alone < 0.5 * found {
-                    return Rgb::ZERO;
-                }
-                let confirmed = near(p, 1, groups)
-                    .map(|q| (other[q] - mean[p]).abs().max_element())
-                    .fold(0.0, f32::max);
-                away * (1.0 - (known.max(CONFIRMED * confirmed) / found).min(1.0))
-            })
-            .collect();
-        for (k, &excess) in excess.iter().enumerate() {
+        let excess = image(width, height, |p| {
+            if groups[p] == 0 {
+                return Rgb::ZERO;
+            }
+            let away = halves[half][p] - mean[p];
+            let sigma = (square[p] - mean[p] * mean[p]).max(Rgb::ZERO).map(f32::sqrt);
+            let (found, known) = (away.abs().max_element(), CHANCE_SIGMAS * sigma.max_element());
+            // It may be the other half that found something: then this one is as all around
+            let alone = (halves[half][p] - at_large[p]).abs().max_element();
+            if found <= known || alone < 0.5 * found {
+                return Rgb::ZERO;
+            }
+            let confirmed = near(p, 1, groups)
+                .map(|q| (other[q] - mean[p]).abs().max_element())
+                .fold(0.0, f32::max);
+            away * (1.0 - (known.max(CONFIRMED * confirmed) / found).min(1.0))
+        });
+        for (k, &excess) in excess.pixels().iter().enumerate() {
             if excess != Rgb::ZERO {
                 let p = (k % width, k / width);
                 out[half][p] -= excess;
@@ -200,8 +189,7 @@ fn smooth(picture: &Image<Rgb>, groups: &Image<u32>, reach: usize) -> Image<Rgb>
             same.fold((Rgb::ZERO, 0.0), |(sum, n), i| (sum + picture[(i, y)], n + 1.0))
         })
         .collect();
-    let mean = |k: usize| {
-        let (x, y) = (k % width, k / width);
+    image(width, height, |(x, y)| {
         if groups[(x, y)] == 0 {
             return Rgb::ZERO;
         }
@@ -211,13 +199,15 @@ fn smooth(picture: &Image<Rgb>, groups: &Image<u32>, reach: usize) -> Image<Rgb>
             (sum + of_row, n + n_row)
         });
         sum / n
-    };
-    image(width, height, (0..width * height).into_par_iter().map(mean).collect())
+    })
 }
 
-fn image(width: usize, height: usize, pixels: Vec<Rgb>) -> Image<Rgb> {
-    Image::from_pixels(width, height, pixels)
-        .unwrap_or_else(|| Image::filled(width, height, Rgb::ZERO))
+/// The picture of `f`, by all threads.
+fn image(width: usize, height: usize, f: impl Fn((usize, usize)) -> Rgb + Sync) -> Image<Rgb> {
+    let mut image = Image::filled(width, height, Rgb::ZERO);
+    let pixels = image.pixels_mut().par_iter_mut().enumerate();
+    pixels.for_each(|(k, pixel)| *pixel = f((k % width, k / width)));
+    image
 }
 
 #[cfg(test)]
@@ -275,24 +265,32 @@ mod tests {
         sum / (SIZE * SIZE) as f64
     }
 
+    /// What the filter makes of the mean of both halves.
+    fn filtered(noisy: &Noisy) -> Image<Rgb> {
+        let moved = denoise(noisy).moved;
+        image(moved.width(), moved.height(), |p| {
+            0.5 * (noisy.halves[0][p] + noisy.halves[1][p]) + moved[p]
+        })
+    }
+
     #[test]
     fn noise_falls_and_the_error_it_states_is_true() {
         let noisy = noisy(0.1, Image::filled(SIZE, SIZE, 1));
-        let filtered = denoise(&noisy);
         let raw = 0.1_f64 * 0.1 / 2.0;
-        let error = squared_error(&filtered.value);
+        let error = squared_error(&filtered(&noisy));
         assert!(error < raw / 6.0, "{error} of {raw}");
-        let stated: f64 = filtered.variance.pixels().iter().map(|v| f64::from(v.x)).sum::<f64>()
-            / (SIZE * SIZE) as f64;
+        let variance = denoise(&noisy).variance;
+        let stated = variance.pixels().iter().map(|v| f64::from(v.x)).sum::<f64>();
+        let stated = stated / (SIZE * SIZE) as f64;
         assert!((0.6..1.7).contains(&(stated / error)), "{stated} for {error}");
     }
 
     #[test]
     fn an_edge_stays_an_edge() {
-        let filtered = denoise(&noisy(0.05, Image::filled(SIZE, SIZE, 1)));
+        let filtered = filtered(&noisy(0.05, Image::filled(SIZE, SIZE, 1)));
         for y in (20..100).step_by(8) {
             let edge = 90 - y / 4;
-            let (left, right) = (filtered.value[(edge - 1, y)].x, filtered.value[(edge + 2, y)].x);
+            let (left, right) = (filtered[(edge - 1, y)].x, filtered[(edge + 2, y)].x);
             assert!((left - truth(edge - 1, y)).abs() < 0.1 && (right + 0.7).abs() < 0.1);
         }
     }
@@ -301,7 +299,7 @@ mod tests {
     fn the_sum_over_the_picture_stays() {
         let noisy = noisy(0.2, Image::filled(SIZE, SIZE, 1));
         let mean = |image: &Image<Rgb>| image.pixels().iter().map(|p| f64::from(p.x)).sum::<f64>();
-        let whole = mean(&denoise(&noisy).value);
+        let whole = mean(&filtered(&noisy));
         let raw = 0.5 * (mean(&noisy.halves[0]) + mean(&noisy.halves[1]));
         assert!((whole / raw - 1.0).abs() < 1e-3, "{whole} {raw}");
     }
@@ -324,8 +322,7 @@ mod tests {
             between: flat(false),
             normals: flat(Rgb::ZERO),
         };
-        let filtered = denoise(&noisy);
-        for (a, b) in filtered.value.pixels().iter().zip(half.pixels()) {
+        for (a, b) in filtered(&noisy).pixels().iter().zip(half.pixels()) {
             assert!((*a - *b).abs().max_element() < 1e-7);
         }
     }
@@ -346,7 +343,7 @@ mod tests {
             between: Image::filled(SIZE - shift, SIZE - shift, false),
             normals: Image::filled(SIZE - shift, SIZE - shift, Rgb::ZERO),
         };
-        let (a, b) = (denoise(&whole).value, denoise(&part).value);
+        let (a, b) = (filtered(&whole), filtered(&part));
         // The cut itself is felt as far as the widest mean reaches.
         for y in 50..SIZE - shift {
             for x in 50..SIZE - shift {
@@ -375,7 +372,7 @@ mod tests {
             between: flat(false),
             normals,
         };
-        let filtered = denoise(&noisy).value;
+        let filtered = filtered(&noisy);
         let squares =
             filtered.pixels().iter().zip(shading.pixels()).map(|(a, b)| (a.x - b.x).powi(2));
         let error = (squares.sum::<f32>() / (SIZE * SIZE) as f32).sqrt();
@@ -390,29 +387,29 @@ mod tests {
         for (x, y) in (0..64).map(|k| (40 + k % 8, 40 + k / 8)) {
             noisy.halves[1][(x, y)] += Rgb::splat(9.0);
         }
-        let after = denoise(&noisy);
+        let after = filtered(&noisy)[(44, 44)].x;
         assert!(before < 0.05, "{before}");
-        assert!(after.value[(44, 44)].x < 1.0, "{}", after.value[(44, 44)]);
+        assert!(after < 1.0, "{after}");
     }
 
     #[test]
     fn light_found_by_chance_is_spread_and_none_is_lost() {
         let masses = Image::from_fn(SIZE, SIZE, |x, _| 1.0 + (x % 7) as f32);
         let mut noisy = Noisy { masses, ..noisy(0.1, flat(1)) };
-        let before = denoise(&noisy);
+        let before = filtered(&noisy);
         let found = (30, 60);
         noisy.halves[0][found] += Rgb::splat(200.0);
-        let after = denoise(&noisy);
+        let after = filtered(&noisy);
         // Spread over some two thousand pixels
-        assert!((after.value[found] - before.value[found]).abs().max_element() < 0.2);
-        let sum = |filtered: &Filtered| {
-            let each = filtered.value.pixels().iter().zip(noisy.masses.pixels());
+        assert!((after[found] - before[found]).abs().max_element() < 0.2);
+        let sum = |image: &Image<Rgb>| {
+            let each = image.pixels().iter().zip(noisy.masses.pixels());
             each.map(|(value, mass)| f64::from(value.x * mass)).sum::<f64>()
         };
         let (given, found) = (sum(&after) - sum(&before), f64::from(noisy.masses[found]) * 100.0);
         assert!((given / found - 1.0).abs() < 0.01, "{given} of {found}");
         // What both halves see is no chance, however small it is.
         noisy.halves[1][(30, 60)] += Rgb::splat(200.0);
-        assert!(denoise(&noisy).value[(30, 60)].x > 100.0);
+        assert!(filtered(&noisy)[(30, 60)].x > 100.0);
     }
 }
