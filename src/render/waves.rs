@@ -425,6 +425,8 @@ impl<E: Estimator> Integrator for Waves<E> {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::atomic::{AtomicU64, Ordering};
+
     use super::*;
     use crate::light::Lights;
     use crate::render::Technique;
@@ -432,27 +434,37 @@ mod tests {
     use crate::render::test_scenes::*;
     use crate::scene::{AlbedoSource, Scene};
 
-    /// The coupled estimator in a scene so slow that a sample takes milliseconds.
-    struct Slow<'a>(Coupled<'a>);
+    /// The coupled estimator in a scene so slow that a sample takes milliseconds; it counts them, and
+    /// cancels what it is rendered for at one of them.
+    struct Slow<'a> {
+        inner: Coupled<'a>,
+        drawn: &'a AtomicU64,
+        cancel_at: u64,
+        context: Context,
+    }
 
     const SAMPLE: Duration = Duration::from_millis(4);
+    const THREADS: usize = 2;
 
     impl Estimator for Slow<'_> {
         fn world(&self) -> &World<'_> {
-            &self.0.world
+            &self.inner.world
         }
 
         fn primary(&self) -> &Primary {
-            &self.0.primary
+            &self.inner.primary
         }
 
         fn solve_albedo(&mut self, context: &Context) {
-            self.0.solve_albedo(context);
+            self.inner.solve_albedo(context);
         }
 
         fn sample(&self, x: usize, y: usize, sampler: Sampler) -> Sample {
             std::thread::sleep(SAMPLE);
-            self.0.sample(x, y, sampler)
+            if self.drawn.fetch_add(1, Ordering::Relaxed) + 1 == self.cancel_at {
+                self.context.cancel();
+            }
+            self.inner.sample(x, y, sampler)
         }
     }
 
@@ -462,8 +474,8 @@ mod tests {
         (scene(vec![ball], matt(0.5), vec![ground]), uniform_sky(1.0))
     }
 
-    /// Runs a slow scene, whose pilot alone would take 10 s, to its end; `cancel_after` seconds.
-    fn run_slow(stop: Stop, cancel_after: Option<f64>) -> (Wave, Difference, f64) {
+    /// Runs a slow scene, whose pilot takes 2400 samples, to its end; also how many were drawn.
+    fn run_slow(stop: Stop, cancel_at: u64) -> (Wave, Difference, u64) {
         let (scene, lights) = scene_and_lights();
         let camera = corner_camera(80, 60, 3.0);
         let plate = Image::filled(80, 60, crate::conventions::Rgb::splat(0.2));
@@ -480,36 +492,29 @@ mod tests {
         };
         let world = World::new(&scene, &lights, &camera, &plate);
         let primary = Primary::new(&camera, world.eye);
-        let slow = Slow(Coupled { world, primary });
+        let (context, drawn) = (Context::new(1), AtomicU64::new(0));
+        let inner = Coupled { world, primary };
+        let slow = Slow { inner, drawn: &drawn, cancel_at, context: context.clone() };
         let mut waves = Waves::new(slow, &job);
-        let context = Context::new(1);
-        let begin = Instant::now();
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(2).build().unwrap();
-        let wave = std::thread::scope(|scope| {
-            if let Some(seconds) = cancel_after {
-                let context = context.clone();
-                scope.spawn(move || {
-                    std::thread::sleep(Duration::from_secs_f64(seconds));
-                    context.cancel();
-                });
-            }
-            pool.install(|| {
-                loop {
-                    let wave = waves.next_wave(&context);
-                    if wave.finished() {
-                        break wave;
-                    }
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(THREADS).build().unwrap();
+        let wave = pool.install(|| {
+            loop {
+                let wave = waves.next_wave(&context);
+                if wave.finished() {
+                    break wave;
                 }
-            })
+            }
         });
-        (wave, waves.snapshot(), begin.elapsed().as_secs_f64())
+        (wave, waves.snapshot(), drawn.load(Ordering::Relaxed))
     }
 
     #[test]
     fn the_time_asked_for_holds_in_the_pilot_too_and_what_is_missing_is_told() {
-        let (wave, difference, seconds) = run_slow(Stop::TimeSeconds(0.3), None);
-        // 0.3 s, the pilot's grace, and as much again for a machine with other work.
-        assert!(seconds < 2.6, "{seconds} s");
+        const SECONDS: f64 = 0.3;
+        let (wave, difference, drawn) = run_slow(Stop::TimeSeconds(SECONDS), u64::MAX);
+        // No thread draws more than the time and the pilot's grace hold, and the one it is at.
+        let each = (SECONDS + PILOT_GRACE_SECONDS) / SAMPLE.as_secs_f64() + 1.0;
+        assert!(drawn as f64 <= THREADS as f64 * each, "{drawn} samples");
         assert_eq!(wave.progress, Progress::Met);
         let unsampled = difference.samples.pixels().iter().filter(|&&n| n == 0).count() as u64;
         assert!(wave.missing > 0 && wave.missing <= unsampled, "{} {unsampled}", wave.missing);
@@ -517,14 +522,16 @@ mod tests {
 
     #[test]
     fn a_cancelled_pilot_ends_soon() {
-        let (wave, _, seconds) = run_slow(Stop::Samples(8), Some(0.3));
-        assert!(seconds < 1.3, "{seconds} s");
+        const DRAWN: u64 = 100;
+        let (wave, _, drawn) = run_slow(Stop::Samples(8), DRAWN);
+        // Every thread may be at a sample.
+        assert!((DRAWN..DRAWN + THREADS as u64).contains(&drawn), "{drawn} samples");
         assert!(wave.progress == Progress::Cancelled && wave.missing > 0);
     }
 
     #[test]
     fn a_time_beyond_any_clock_never_comes() {
-        let (wave, ..) = run_slow(Stop::TimeSeconds(1e300), Some(0.1));
+        let (wave, ..) = run_slow(Stop::TimeSeconds(1e300), 20);
         assert_eq!(wave.progress, Progress::Cancelled);
     }
 }
