@@ -21,7 +21,7 @@ use crate::probe::fisheye::{Fisheye, Projection};
 use crate::probe::overlay::overlay;
 use crate::probe::photographed;
 use crate::probe::unwrap::check_width;
-use crate::probe::{Ball, Panorama, clipped_regions, file};
+use crate::probe::{Ball, Doubt, Panorama, clipped_regions, file};
 
 /// Turn photographs of a mirror ball or fisheye, or any map of directions, into a lat-long panorama
 ///
@@ -307,7 +307,7 @@ fn photographed(
     let reflectance = wishes.reflectance.unwrap_or(Rgb::ONE);
     let ball = Ball::new(found.centre_of(args.radius, &camera), args.radius, reflectance)?;
     let panorama = photographed::ball(&radiance, &camera, &found, &ball, None, args.width)?;
-    warnings.extend(found.doubts().into_iter().map(|doubt| doubt.sentence("--hint")));
+    warnings.extend(Doubt::about(&found).into_iter().map(|doubt| doubt.sentence("--hint")));
     let wants_overlay = args.overlay.is_some();
     let drawn = wants_overlay.then(|| overlay(&radiance.mean, &camera.lens, &found, 800));
     if wishes.reflectance.is_none() {

@@ -42,8 +42,8 @@ const REACH_PX: f64 = 2.0;
 /// Edges this far off the axis are left out, rad: the plane of the search ends at 3.7 times its
 /// width at 90°; straight behind it would be infinite.
 const FARTHEST_OFF_AXIS_RAD: f64 = 150.0 * std::f64::consts::PI / 180.0;
-/// Doubt of a hint whose rim could not be measured: share of its radius.
-const HINT_SIGMA: f64 = 0.01;
+/// Standard error of a hint whose rim could not be measured: share of its radius.
+pub(super) const HINT_SIGMA: f64 = 0.01;
 
 /// What is known beforehand.
 #[derive(Clone, Copy, Debug, Default)]
@@ -71,48 +71,7 @@ pub struct BallImage {
     pub rival_px: Option<[f64; 3]>,
 }
 
-/// A reason not to trust a ball that was found, in words without the name of the hint's key.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Doubt {
-    /// The rim could not be measured; the hint was taken as it is.
-    HintTaken,
-    /// Another place looks nearly as much like a ball: centre and radius, px.
-    Rival([f64; 3]),
-}
-
-impl Doubt {
-    /// What was found and what to do; `hint` is what the hint is called where it is given.
-    pub fn sentence(self, hint: &str) -> String {
-        match self {
-            Self::HintTaken => format!(
-                "the ball's rim could not be measured; {hint} is taken as it is: look at the overlay"
-            ),
-            Self::Rival([u, v, r]) => format!(
-                "another place looks nearly as much like a ball: centre {u:.0}, {v:.0}, radius {r:.0} px; \
-                 look at the overlay, and give {hint} if the wrong one was taken"
-            ),
-        }
-    }
-
-    /// What it may do to the light.
-    pub fn effect(self) -> String {
-        match self {
-            Self::HintTaken => format!(
-                "directions off by {} % of the ball's radius, if the hint is good to that",
-                100.0 * HINT_SIGMA
-            ),
-            Self::Rival(_) => "all of the light, if the wrong one was taken".to_owned(),
-        }
-    }
-}
-
 impl BallImage {
-    /// Why it may not be the ball, or not where it is.
-    pub fn doubts(&self) -> Vec<Doubt> {
-        let hint_taken = self.score.is_none().then_some(Doubt::HintTaken);
-        hint_taken.into_iter().chain(self.rival_px.map(Doubt::Rival)).collect()
-    }
-
     /// Where its rim puts the centre of a ball of this radius before the camera: world, metres.
     pub fn centre_of(&self, radius_m: f64, camera: &Camera) -> DVec3 {
         let distance = radius_m / self.rim.half_angle_rad.sin();

@@ -10,6 +10,7 @@
 pub mod ball;
 pub mod circles;
 pub mod clipped;
+pub mod doubt;
 pub mod edges;
 pub mod file;
 pub mod fill;
@@ -25,6 +26,7 @@ pub mod unwrap;
 
 pub use self::ball::Ball;
 pub use self::clipped::{ClippedRegion, clipped_regions};
+pub use self::doubt::Doubt;
 pub use self::panorama::Panorama;
 pub use self::rim::Rim;
 

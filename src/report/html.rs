@@ -1,7 +1,6 @@
 //! report.html: one page with before and after, numbers, warnings and overlays; no network, no
 //! libraries, pictures beside it.
 
-use std::io::Write;
 use std::path::Path;
 
 use maud::{DOCTYPE, Markup, PreEscaped, html};
@@ -38,8 +37,7 @@ pub(super) fn head(title: &str, more: &str) -> Markup {
 
 /// Writes a page whole or not at all.
 pub(super) fn write_page(path: &Path, page: &Markup) -> Result<(), ReportError> {
-    crate::photo::atomic::write(path, |file| file.write_all(page.0.as_bytes()))
-        .map_err(|cause| ReportError { path: path.to_owned(), cause })
+    super::write_text(path, &page.0)
 }
 
 /// Writes report.html; `before` and `after` are file names beside it.
@@ -271,8 +269,8 @@ fn probe(report: &Report) -> Markup {
                 @for (i, lamp) in report.lights.lamps.iter().enumerate() {
                     tr {
                         td { (i + 1) }
-                        td.n { (lamp.at.map(|c| format!("{c:.2}")).join(", ")) }
-                        td.n { (format!("{:.3} m", lamp.radius)) }
+                        td.n { (lamp.at_m.map(|c| format!("{c:.2}")).join(", ")) }
+                        td.n { (format!("{:.3} m", lamp.radius_m)) }
                         td.n { (lamp.radiance.map(significant).join(", ")) }
                         td { (lamp.treated) }
                     }

@@ -19,6 +19,8 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
+use crate::photo::atomic;
+
 /// Everything known about one finished picture.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Report {
@@ -225,10 +227,9 @@ pub struct LightsReport {
 /// A lamp of the shot file.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct LampReport {
-    /// Its centre, world, metres.
-    pub at: [f64; 3],
-    /// Metres.
-    pub radius: f64,
+    /// Its centre, world.
+    pub at_m: [f64; 3],
+    pub radius_m: f64,
     /// Mean over its disc above its surroundings, in the plate's linear scale; 0 if it stays in the
     /// panorama.
     pub radiance: [f64; 3],
@@ -343,10 +344,15 @@ pub struct ReportError {
 
 /// Writes report.json.
 pub fn write_json(path: &Path, report: &Report) -> Result<(), ReportError> {
-    let error = |cause| ReportError { path: path.to_owned(), cause };
-    let mut json = serde_json::to_vec_pretty(report).map_err(|e| error(e.into()))?;
-    json.push(b'\n');
-    crate::photo::atomic::write(path, |file| file.write_all(&json)).map_err(error)
+    let json = serde_json::to_string_pretty(report)
+        .map_err(|cause| ReportError { path: path.to_owned(), cause: cause.into() })?;
+    write_text(path, &(json + "\n"))
+}
+
+/// Writes a text whole or not at all.
+fn write_text(path: &Path, text: &str) -> Result<(), ReportError> {
+    atomic::write(path, |file| file.write_all(text.as_bytes()))
+        .map_err(|cause| ReportError { path: path.to_owned(), cause })
 }
 
 /// "1 photograph", "14 photographs".

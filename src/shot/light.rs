@@ -5,7 +5,7 @@ use std::f64::consts::PI;
 use glam::DVec3;
 
 use super::exposures::Scale;
-use super::near_field::{NearField, Room};
+use super::near_field::NearField;
 use super::place;
 use super::plan::Plan;
 use super::probe_keys::{
@@ -23,7 +23,7 @@ use crate::probe::find::{self, BallImage};
 use crate::probe::fisheye::{self, Projection};
 use crate::probe::photographed;
 use crate::probe::unwrap::Support;
-use crate::probe::{Ball, ClippedRegion, Panorama, Rim, clipped_regions};
+use crate::probe::{Ball, ClippedRegion, Doubt, Panorama, Rim, clipped_regions};
 use crate::report::{
     ClippedReport, LightsReport, ProbeReport, SunReport, Treatment, Warning, azimuth_elevation,
     photographs,
@@ -107,7 +107,7 @@ fn unwrap_the_ball(
     let found = find::find(&radiance.mean, &camera.lens, &hints).map_err(|e| e.to_string())?;
     let panorama = photographed::ball(&radiance, &camera, &found, &ball, support.as_ref(), None)
         .map_err(|e| e.to_string())?;
-    warnings.extend(found.doubts().into_iter().map(|doubt| {
+    warnings.extend(Doubt::about(&found).into_iter().map(|doubt| {
         Warning::new("probe.ball", doubt.sentence("probe.ball.hint_px"), doubt.effect())
     }));
     warnings.extend(found.disagreement_px(&camera, &ball).and_then(|off| misplaced(off, &found)));
@@ -220,8 +220,8 @@ fn take_panorama(keys: &PanoramaKeys) -> Result<Unwrapped, String> {
     Ok(Unwrapped { panorama, ball: None, report, warnings })
 }
 
-/// Everything of the scene that the judgement of clipped lights needs.
-pub struct Surroundings<'a> {
+/// What light is judged by: the shot with its camera and scene in their places.
+pub struct Setting<'a> {
     pub plan: &'a Plan,
     pub camera: &'a Camera,
     pub scene: &'a Scene,
@@ -235,10 +235,10 @@ pub struct Surroundings<'a> {
 /// A sentence with key and remedy: clipped lights that nobody accepted, or that cannot be recovered.
 pub fn light(
     unwrapped: Unwrapped,
-    around: &Surroundings,
+    setting: &Setting,
 ) -> Result<(Light, ProbeReport, LightsReport), String> {
     let Unwrapped { panorama, ball, mut report, mut warnings } = unwrapped;
-    let plan = around.plan;
+    let plan = setting.plan;
     let Scale { factor, source } = &plan.scale;
     let mut panorama = panorama.scaled(*factor as f32);
     let sigma_irradiance = sigma_irradiance(&panorama);
@@ -251,11 +251,10 @@ pub fn light(
     report.plate_exposure_source = source.clone();
     report.seen_share = seen_share(&panorama);
 
-    let mut suns = judge_clipped(&mut panorama, around, &mut report, &mut warnings)?;
+    let mut suns = judge_clipped(&mut panorama, setting, &mut report, &mut warnings)?;
     // Also of what turns out to be a lamp's
     let sigma_sun = suns.iter().map(|(_, sigma)| *sigma).reduce(f64::max);
-    let room = Room { plan, scene: around.scene, local: around.local };
-    let near = NearField::find(&room, &mut panorama, &mut suns);
+    let near = NearField::find(setting, &mut panorama, &mut suns);
     warnings.extend(near.warnings);
     let options = LightOptions {
         suns: match plan.shot.probe.suns {
@@ -270,7 +269,7 @@ pub fn light(
     let found = Lights::new(&panorama, &options)
         .map_err(|error| format!("{}: probe: {error}", plan.shot.path.display()))?;
     let lights = found.with_discs(suns.into_iter().map(|(disc, _)| disc));
-    let place = around.scene.from_world(panorama.place);
+    let place = setting.scene.from_world(panorama.place);
     let lights = lights.near(place, near.proxy, near.lamps);
     warnings.extend(repaired_warning(&lights, &panorama));
 
@@ -317,7 +316,7 @@ fn repaired_warning(lights: &Lights, panorama: &Panorama) -> Option<Warning> {
 /// Errs on, accepts or recovers clipped lights; returns recovered suns with their relative σ.
 fn judge_clipped(
     panorama: &mut Panorama,
-    around: &Surroundings,
+    setting: &Setting,
     report: &mut ProbeReport,
     warnings: &mut Vec<Warning>,
 ) -> Result<Vec<(Disc, f64)>, String> {
@@ -342,8 +341,8 @@ fn judge_clipped(
     if matter.is_empty() {
         return Ok(Vec::new());
     }
-    let shot = around.plan.shot.path.display();
-    match around.plan.shot.probe.clipped {
+    let shot = setting.plan.shot.path.display();
+    match setting.plan.shot.probe.clipped {
         Clipped::Error => {
             let list: Vec<String> = matter.iter().map(ToString::to_string).collect();
             Err(format!(
@@ -366,7 +365,7 @@ fn judge_clipped(
             ));
             Ok(Vec::new())
         }
-        Clipped::Recover => recover(panorama, &matter, around, report, warnings)
+        Clipped::Recover => recover(panorama, &matter, setting, report, warnings)
             .map_err(|error| format!("{shot}: probe.clipped: {error}")),
     }
 }
@@ -375,7 +374,7 @@ fn judge_clipped(
 fn recover(
     panorama: &mut Panorama,
     regions: &[ClippedRegion],
-    around: &Surroundings,
+    setting: &Setting,
     report: &mut ProbeReport,
     warnings: &mut Vec<Warning>,
 ) -> Result<Vec<(Disc, f64)>, String> {
@@ -392,13 +391,13 @@ fn recover(
     // Half as much again: blooming and the resampler spread a clipped disc over its neighbours.
     take_out(panorama, sun.direction, 1.5 * half_width);
     let stage = Stage {
-        plate: &around.plan.plate.linear,
-        clipped: &around.plan.plate.clipped,
-        camera: around.camera,
+        plate: &setting.plan.plate.linear,
+        clipped: &setting.plan.plate.clipped,
+        camera: setting.camera,
         panorama,
-        scene: around.scene,
-        local: around.local,
-        support_albedo: support_albedo(around.plan),
+        scene: setting.scene,
+        local: setting.local,
+        support_albedo: support_albedo(setting.plan),
     };
     let recovered = clipped::recover(&stage, sun.direction, half_angle)
         .map_err(|error| format!("{error}; {}", remedy(&error)))?;

@@ -6,6 +6,7 @@
 
 use glam::{DVec3, Vec3};
 
+use super::light::Setting;
 use super::place;
 use super::plan::Plan;
 use super::probe_keys::{ProbeSource, Surroundings};
@@ -36,38 +37,30 @@ const BESIDE: f64 = 0.5;
 /// More of the sphere than this behind the walls' holes is worth a word.
 const OPEN: f64 = 0.05;
 
-/// The shot as the judgement of near light sees it.
-pub struct Room<'a> {
-    pub plan: &'a Plan,
-    pub scene: &'a Scene,
-    /// Built over the meshes of `scene.local`, in their order.
-    pub local: &'a Accel,
-}
-
 impl NearField {
     /// Judges walls and lamps and takes near lamps out of the panorama. Recovered `suns` that were
     /// lamps go with them.
-    pub fn find(room: &Room, panorama: &mut Panorama, suns: &mut Vec<(Disc, f64)>) -> Self {
+    pub fn find(setting: &Setting, panorama: &mut Panorama, suns: &mut Vec<(Disc, f64)>) -> Self {
         let mut near = Self::default();
-        let reach = reach(room.plan, panorama.place);
-        near.walls(room, panorama.place, reach);
-        for k in 0..room.plan.shot.lamps.len() {
-            near.lamp(k, room, panorama, suns, reach);
+        let reach = reach(setting.plan, panorama.place);
+        near.walls(setting, panorama.place, reach);
+        for k in 0..setting.plan.shot.lamps.len() {
+            near.lamp(k, setting, panorama, suns, reach);
         }
         near
     }
 
-    fn walls(&mut self, room: &Room, probe: DVec3, reach: f64) {
-        let Some(keys) = &room.plan.shot.surroundings else { return };
-        let centre = room.scene.from_world(probe);
+    fn walls(&mut self, setting: &Setting, probe: DVec3, reach: f64) {
+        let Some(keys) = &setting.plan.shot.surroundings else { return };
+        let centre = setting.scene.from_world(probe);
         let (key, proxy, remedy) = match keys {
             Surroundings::Box { min, max } => {
-                let corner = |p: [f64; 3]| room.scene.from_world(p.into());
+                let corner = |p: [f64; 3]| setting.scene.from_world(p.into());
                 let proxy = Proxy::of_box(centre, corner(*min), corner(*max));
                 ("surroundings.box", proxy, "the probe stands outside the box")
             }
             Surroundings::Mesh(_) => {
-                let meshes = room.plan.surroundings.as_ref().map(|m| meshes(m, room.scene));
+                let meshes = setting.plan.surroundings.as_ref().map(|m| meshes(m, setting.scene));
                 let proxy = meshes.and_then(|meshes| Proxy::of_mesh(centre, meshes));
                 ("surroundings.mesh", proxy, "the mesh has no surface")
             }
@@ -100,7 +93,7 @@ impl NearField {
             "light lies on the walls: {facts}; as distant light it would be off by {}",
             per_cent(error)
         );
-        self.warnings.extend(outside(key, &proxy, room));
+        self.warnings.extend(outside(key, &proxy, setting));
         self.warnings.extend(open(key, &proxy));
         self.proxy = Some(proxy);
     }
@@ -108,16 +101,17 @@ impl NearField {
     fn lamp(
         &mut self,
         k: usize,
-        room: &Room,
+        setting: &Setting,
         panorama: &mut Panorama,
         suns: &mut Vec<(Disc, f64)>,
         reach: f64,
     ) {
-        let keys = room.plan.shot.lamps[k];
+        let keys = setting.plan.shot.lamps[k];
         let (key, at) = (format!("lamp[{k}]"), DVec3::from(keys.at));
         let distance = panorama.place.distance(at) - keys.radius;
         let error = distant_error(reach, distance);
-        let mut report = LampReport { at: keys.at, radius: keys.radius, ..LampReport::default() };
+        let mut report =
+            LampReport { at_m: keys.at, radius_m: keys.radius, ..LampReport::default() };
         let facts = format!(
             "the lamp is {distance:.2} m from the probe and the objects reach {reach:.2} m from it"
         );
@@ -128,8 +122,8 @@ impl NearField {
             self.warnings.push(far_enough(&key, &facts, error));
             return;
         }
-        let hidden = hides(room.local, room.scene, panorama.place, at, keys.radius);
-        let probe_radius = probe_radius(room.plan);
+        let hidden = hides(setting.local, setting.scene, panorama.place, at, keys.radius);
+        let probe_radius = probe_radius(setting.plan);
         let taken = if hidden {
             Err(NoLamp::Unseen)
         } else {
@@ -146,7 +140,7 @@ impl NearField {
             }
         };
         let lamp = Lamp {
-            centre: room.scene.from_world(at),
+            centre: setting.scene.from_world(at),
             radius: keys.radius as f32,
             radiance: taken.radiance,
         };
@@ -155,7 +149,7 @@ impl NearField {
         if taken.off_rad > (BESIDE * keys.radius + probe_radius) / away {
             self.warnings.push(beside(&key, taken.off_rad, away));
         }
-        let lamp = with_suns(lamp, room.scene.from_world(panorama.place), suns);
+        let lamp = with_suns(lamp, setting.scene.from_world(panorama.place), suns);
         report.treated = format!("put in its place: {facts}");
         report.radiance = lamp.radiance.as_dvec3().to_array();
         self.lamp_reports.push(report);
@@ -234,11 +228,11 @@ fn beside(key: &str, off_rad: f64, distance: f64) -> Warning {
 }
 
 /// Objects beyond the box see distant light.
-fn outside(key: &str, proxy: &Proxy, room: &Room) -> Option<Warning> {
-    let [min, max] = place::object_box(room.plan)?;
+fn outside(key: &str, proxy: &Proxy, setting: &Setting) -> Option<Warning> {
+    let [min, max] = place::object_box(setting.plan)?;
     let corner = |k: usize| {
         let pick = |axis: usize| if k >> axis & 1 == 0 { min[axis] } else { max[axis] };
-        room.scene.from_world(DVec3::new(pick(0), pick(1), pick(2)))
+        setting.scene.from_world(DVec3::new(pick(0), pick(1), pick(2)))
     };
     let outside = (0..8).filter(|&k| !proxy.holds(corner(k))).count();
     (outside > 0).then(|| {

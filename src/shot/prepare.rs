@@ -7,7 +7,7 @@ use glam::DVec3;
 use super::bracket;
 use super::calibrate::{FoundLens, find_lens};
 use super::camera_keys::{Board, CameraKeys, CameraSource};
-use super::light::{self, Light, Surroundings};
+use super::light::{self, Light, Setting};
 use super::locate::{FoundPose, LocateError, Seen, find_pose};
 use super::place;
 use super::placing;
@@ -102,8 +102,8 @@ pub fn prepare(
     let scene = place::scene(plan)
         .map_err(|problem| one(format!("{}: {problem}", plan.shot.path.display())))?;
     let shown = Shown::new(&scene, &camera);
-    let around = Surroundings { plan, camera: &camera, scene: &scene, local: &shown.local };
-    let (light, probe_report, lights_report) = light::light(unwrapped, &around).map_err(one)?;
+    let setting = Setting { plan, camera: &camera, scene: &scene, local: &shown.local };
+    let (light, probe_report, lights_report) = light::light(unwrapped, &setting).map_err(one)?;
     if context.is_cancelled() {
         return Err(RunError::Interrupted);
     }

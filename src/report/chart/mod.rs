@@ -11,16 +11,14 @@ pub use draw::{canvas, svg};
 pub use page::write_page;
 pub use sheet::{Tile, contact_sheet};
 
-use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
-use super::ReportError;
+use super::{ReportError, write_text};
 
 /// What is compared side by side: one panel of the picture each.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "lowercase")]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Group {
     /// Whole methods, and the default with one improvement on or off.
     Methods,
@@ -35,6 +33,17 @@ pub enum Group {
 impl Group {
     pub const ALL: [Self; 4] = [Self::Methods, Self::Directions, Self::Depth, Self::Lights];
 
+    /// As chart.csv and `--json` have it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Methods => "methods",
+            Self::Directions => "directions",
+            Self::Depth => "depth",
+            Self::Lights => "lights",
+        }
+    }
+
+    /// What heads its panel.
     pub fn title(self) -> &'static str {
         match self {
             Self::Methods => "methods and improvements",
@@ -128,6 +137,12 @@ pub struct Chart {
     pub files: Vec<PathBuf>,
 }
 
+impl Serialize for Group {
+    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.serialize_str(self.name())
+    }
+}
+
 impl Verdict {
     /// How many times the best one's error.
     pub fn ratio(&self) -> f64 {
@@ -137,14 +152,12 @@ impl Verdict {
 
 /// Writes chart.csv: one line a rendering, shares of the picture's brightness, not per cent.
 pub fn write_csv(path: &Path, chart: &Chart) -> Result<(), ReportError> {
-    crate::photo::atomic::write(path, |file| file.write_all(csv(chart).as_bytes()))
-        .map_err(|cause| ReportError { path: path.to_owned(), cause })
+    write_text(path, &csv(chart))
 }
 
 /// Writes chart.svg.
 pub fn write_svg(path: &Path, chart: &Chart) -> Result<(), ReportError> {
-    crate::photo::atomic::write(path, |file| file.write_all(svg(chart).as_bytes()))
-        .map_err(|cause| ReportError { path: path.to_owned(), cause })
+    write_text(path, &svg(chart))
 }
 
 fn csv(chart: &Chart) -> String {
@@ -154,13 +167,12 @@ fn csv(chart: &Chart) -> String {
         .to_owned();
     let told = |error: Option<f64>| error.map_or(String::new(), |error| format!("{error:.6}"));
     let mut line = |curve: &Curve, point: &Point, chosen: bool| {
-        let group = serde_json::to_value(curve.group).unwrap_or_default();
         let Point { cpu_seconds, seconds, samples, stated, bias, bias_sigma, .. } = point;
         text += &format!(
             "{},{},{},{cpu_seconds:.4},{seconds:.4},{samples},{stated:.6},{},{},{},{bias:.6},\
              {bias_sigma:.6},{:.6},{chosen}\n",
             curve.name,
-            group.as_str().unwrap_or_default(),
+            curve.group.name(),
             curve.bias.is_none(),
             told(point.error),
             told(point.on_objects),
