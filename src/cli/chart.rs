@@ -3,9 +3,8 @@
 use std::path::PathBuf;
 
 use super::terminal::Terminal;
-use super::{CliError, Global, Outcome};
+use super::{CliError, Global, Outcome, read_shot};
 use crate::report::chart::summary;
-use crate::shot::ShotFile;
 use crate::shot::batch::out_folder;
 use crate::shot::chart::{ChartOptions, all, chart, named};
 use crate::shot::run::RunError;
@@ -73,7 +72,7 @@ pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
         scale => scale.map(|scale| (1.0 / scale).round() as usize),
     };
     let rows = named(&args.methods).map_err(CliError::wrong)?;
-    let shot = ShotFile::read(&args.shot).map_err(|e| CliError::several(e.problems()))?;
+    let shot = read_shot(&args.shot)?;
     let out = args.out.clone().unwrap_or_else(|| out_folder(&shot.path, None).join("chart"));
     let options = ChartOptions { seconds, rows, reduced };
     let terminal = Terminal::new(global);

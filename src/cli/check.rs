@@ -3,8 +3,8 @@
 use std::path::PathBuf;
 
 use super::terminal::Terminal;
-use super::{CliError, Global, Outcome};
-use crate::shot::{ShotFile, check};
+use super::{CliError, Global, Outcome, read_shot};
+use crate::shot::check;
 
 /// Find everything that is wrong with a shot, without rendering
 #[derive(Debug, clap::Args)]
@@ -22,7 +22,7 @@ pub struct Args {
 }
 
 pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
-    let shot = ShotFile::read(&args.shot).map_err(|e| CliError::several(e.problems()))?;
+    let shot = read_shot(&args.shot)?;
     let terminal = Terminal::new(global);
     let findings = check::check(&shot, &global.context(), &terminal);
     terminal.finish();

@@ -25,6 +25,7 @@ pub use error::CliError;
 pub use progress::progress_bar;
 
 use std::io::Write;
+use std::path::Path;
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
@@ -32,6 +33,7 @@ use serde::Serialize;
 
 use crate::render::Context;
 use crate::report::Warning;
+use crate::shot::ShotFile;
 
 /// Put CG objects into photographs, and be told how right the result is.
 #[derive(Debug, Parser)]
@@ -166,6 +168,11 @@ fn dispatch(command: &Command, global: &Global) -> Result<Outcome, CliError> {
         Command::Preview(args) => preview::run(args, global),
         Command::Targets(args) => targets::run(args, global),
     }
+}
+
+/// The shot file, or the one in this folder, with its defaults.
+fn read_shot(path: &Path) -> Result<ShotFile, CliError> {
+    ShotFile::read(path).map_err(|error| CliError::several(error.problems()))
 }
 
 /// How a command ended, when it was not an error.

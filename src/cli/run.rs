@@ -3,9 +3,8 @@
 use std::path::PathBuf;
 
 use super::terminal::Terminal;
-use super::{CliError, Global, Outcome};
+use super::{CliError, Global, Outcome, read_shot};
 use crate::report::summary;
-use crate::shot::ShotFile;
 use crate::shot::batch::out_folder;
 use crate::shot::run::{RunError, RunOptions, run_frames};
 use crate::shot::stop::StopKeys;
@@ -66,7 +65,7 @@ impl Stop {
 
 pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
     let options = RunOptions { skip_existing: args.skip_existing, stop: args.stop.keys()? };
-    let shot = ShotFile::read(&args.shot).map_err(|e| CliError::several(e.problems()))?;
+    let shot = read_shot(&args.shot)?;
     let out = args.out.clone().unwrap_or_else(|| out_folder(&shot.path, None));
     let terminal = Terminal::new(global);
     let frames = run_frames(&shot, &out, &options, &global.context(), &terminal);
