@@ -67,7 +67,9 @@ fn all_files_are_written_and_what_is_known_of_the_methods_is_found() {
     // Without what the lit cube sends to the ground, that is too dark.
     let last = curve("depth-1").points.last().expect("a rendering");
     assert!(last.bias < -3.0 * last.bias_sigma, "{last:?}");
-    assert!(chart.reference.error < 0.02, "{:?}", chart.reference);
+    let firsts = chart.curves.iter().filter_map(|curve| curve.points.first());
+    let most = firsts.map(|point| point.samples).max();
+    assert!(most.is_some_and(|most| most < chart.reference.samples), "{:?}", chart.reference);
 }
 
 #[test]

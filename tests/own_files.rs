@@ -32,6 +32,23 @@ fn a_run_into_its_own_folder_keeps_camera_and_panorama() {
     }
 }
 
+#[cfg(unix)]
+#[test]
+fn a_link_to_an_input_in_the_folder_of_results_keeps_the_input() {
+    let folder = tempfile::tempdir().unwrap();
+    let object = write_cube(folder.path(), 0.2);
+    let shot = write_shot(folder.path(), Plate::Png8, &object);
+    let (plate, out) = (folder.path().join("plate.png"), folder.path().join("out"));
+    fs::create_dir(&out).unwrap();
+    for (command, result) in [("run", "composite.png"), ("chart", "chart.png")] {
+        let link = out.join(result);
+        std::os::unix::fs::symlink(&plate, &link).unwrap();
+        let arguments = [command, text(&shot), "--out", text(&out)];
+        assert_refused(&arguments, &plate, "would be overwritten");
+        fs::remove_file(&link).unwrap();
+    }
+}
+
 #[test]
 fn no_command_writes_over_what_it_reads() {
     let folder = tempfile::tempdir().unwrap();

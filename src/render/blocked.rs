@@ -12,6 +12,7 @@ use glam::DVec2;
 use super::cones::Cones;
 use super::sampler::{Purpose, Sampler};
 use super::surface::Surface;
+use super::technique::Blocked;
 use super::world::World;
 use crate::conventions::Rgb;
 use crate::light::{Cells, LightSet, Lights};
@@ -25,18 +26,28 @@ pub const CELLS: usize = 256;
 const SMALL_CELL: f32 = 0.03;
 const MOST_IN_SMALL: f32 = 0.25;
 /// Beside them, each sun is one.
-pub(super) const MOST_CELLS: usize = CELLS + 64;
+const MOST_CELLS: usize = CELLS + 64;
 /// Draws where all of a point's light may be blocked.
 const MOST_DRAWS: f32 = 8.0;
 /// Golden ratio: steps of a Kronecker sequence.
 const GOLDEN: f64 = 0.618_033_988_749_894_9;
 
-/// True if blocked light is drawn from cells unless something else is asked for.
-pub fn cells_pay(lights: &Lights, cells: &Cells) -> bool {
-    // Cells are directions that hold everywhere.
-    lights.proxy().is_none()
-        && cells.len() <= MOST_CELLS
-        && cells.share_of_small(SMALL_CELL) < MOST_IN_SMALL
+impl Blocked {
+    /// What this comes to under `lights`, which `cells` are cut from: never [`Auto`](Self::Auto).
+    ///
+    /// Cells and lists of lights are directions that hold everywhere: with near walls blocked light is
+    /// found by draws, whatever was asked for.
+    pub fn resolved(self, lights: &Lights, cells: &Cells) -> Self {
+        let fit = cells.len() <= MOST_CELLS;
+        let pay = fit && cells.share_of_small(SMALL_CELL) < MOST_IN_SMALL;
+        match self {
+            _ if lights.proxy().is_some() => Self::Draws,
+            Self::Auto if pay => Self::Cells,
+            Self::Cells if fit => Self::Cells,
+            Self::Auto | Self::Cells => Self::Draws,
+            Self::Draws | Self::Patches(_) | Self::MedianCut(_) => self,
+        }
+    }
 }
 
 impl World<'_> {

@@ -51,7 +51,7 @@ impl Region {
         for y in 0..plate.height() {
             for x in 0..plate.width() {
                 let at = (x, y);
-                let finished = finished(reference, plate[at], at);
+                let finished = reference.over(plate[at], at);
                 let (before, after) = (luminance(plate[at]), luminance(finished));
                 let brightness = before.max(after).max(floor);
                 let changed = f64::from((after - before).abs() / brightness) > INFLUENCE;
@@ -92,7 +92,7 @@ impl Region {
         let mut parts = [(0.0, 0.0); 2];
         let (mut sum, mut signed_squares) = (0.0, 0.0);
         for pixel in &self.pixels {
-            let off = finished(rendering, pixel.plate, pixel.at) - pixel.finished;
+            let off = rendering.over(pixel.plate, pixel.at) - pixel.finished;
             // Channels of one path are strongly correlated: their errors add.
             let size = f64::from(luminance(off.abs()) / pixel.brightness);
             let signed = f64::from(luminance(off) / pixel.brightness);
@@ -113,10 +113,6 @@ impl Region {
             bias_sigma: signed_squares.sqrt() / n,
         }
     }
-}
-
-fn finished(difference: &Difference, plate: Rgb, at: (usize, usize)) -> Rgb {
-    difference.object[at] + plate * (1.0 - difference.coverage[at]) + difference.difference[at]
 }
 
 #[cfg(test)]

@@ -148,13 +148,11 @@ pub fn integrator_on<'a>(
 ) -> Result<Box<dyn Integrator + Send + 'a>, RenderError> {
     job.validate()?;
     let Job { scene, lights, camera, plate, .. } = job;
-    let mut world = match groundwork {
+    let world = match groundwork {
         Some(known) => World::on(known.clone(), scene, lights, camera, plate),
         None => World::new(scene, lights, camera, plate),
     };
-    if job.technique != Technique::default() {
-        world = world.with_technique(job.technique);
-    }
+    let world = world.with_technique(job.technique);
     let primary = Primary::new(job.camera, world.eye);
     Ok(match method {
         Method::Coupled => Box::new(Waves::new(Coupled { world, primary }, &job)),

@@ -84,7 +84,8 @@ impl Context {
 
     /// The same, over at `deadline` at the latest; `None` sets no other end.
     pub fn until(&self, deadline: Option<Instant>) -> Self {
-        Self { deadline: deadline.or(self.deadline), ..self.clone() }
+        let deadline = deadline.into_iter().chain(self.deadline).min();
+        Self { deadline, ..self.clone() }
     }
 
     /// What cancels this context when it is set, for those who cannot call: signal handlers.
@@ -138,6 +139,11 @@ pub struct Difference {
 }
 
 impl Difference {
+    /// The finished pixel `at`, by addition, where the plate has `plate`.
+    pub fn over(&self, plate: Rgb, at: (usize, usize)) -> Rgb {
+        self.object[at] + plate * (1.0 - self.coverage[at]) + self.difference[at]
+    }
+
     /// What no object at all makes of a picture of `width` × `height` pixels.
     pub fn nothing(width: usize, height: usize) -> Self {
         let black = Image::filled(width, height, Rgb::ZERO);
@@ -212,4 +218,20 @@ pub trait Integrator {
     fn next_wave(&mut self, context: &Context) -> Wave;
     /// The difference as known after the waves so far.
     fn snapshot(&self) -> Difference;
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::time::Duration;
+
+    #[test]
+    fn the_earlier_of_two_deadlines_holds() {
+        let now = Instant::now();
+        let (soon, late) = (now + Duration::from_secs(60), now + Duration::from_secs(3600));
+        let context = Context::new(1).until(Some(soon));
+        assert_eq!(context.until(Some(late)).deadline, Some(soon));
+        assert_eq!(Context::new(1).until(Some(late)).until(Some(soon)).deadline, Some(soon));
+        assert_eq!(context.until(None).deadline, Some(soon));
+    }
 }

@@ -95,7 +95,7 @@ impl Technique {
     }
 
     /// True if only the noise differs from the default's.
-    pub fn is_unbiased(&self) -> bool {
+    pub fn only_noise_differs(&self) -> bool {
         let Self { max_depth, max_object_depth, .. } = Self::default();
         let whole = self.max_depth >= max_depth && self.max_object_depth >= max_object_depth;
         let same = whole && self.caustics == Caustics::default();

@@ -6,10 +6,10 @@
 use std::borrow::Cow;
 use std::sync::Arc;
 
-use glam::{DVec2, Vec2, Vec3};
+use glam::{Vec2, Vec3};
 
 use super::albedo::AlbedoMap;
-use super::blocked::{CELLS, MOST_CELLS, cells_pay};
+use super::blocked::CELLS;
 use super::glow::Glow;
 use super::sampler::{Purpose, Sampler};
 use super::skylight::Skylight;
@@ -133,7 +133,7 @@ impl<'a> World<'a> {
             eye: (camera.pose.position() - scene.origin).as_vec3(),
             albedo,
             skylight,
-            by_cells: cells_pay(lights, &cells),
+            by_cells: Blocked::Auto.resolved(lights, &cells) == Blocked::Cells,
             light_set: None,
             technique: Technique::default(),
             cells,
@@ -147,28 +147,20 @@ impl<'a> World<'a> {
         }
     }
 
-    /// The same, to be estimated by another technique. Cells and lists of lights are directions that
-    /// hold everywhere: with near walls blocked light is found by draws instead.
+    /// The same, to be estimated by another technique.
     pub fn with_technique(mut self, technique: Technique) -> Self {
-        let near = self.lights.proxy().is_some();
-        let blocked = if near { Blocked::Draws } else { technique.blocked };
-        let technique = Technique { blocked, ..technique };
         let lights = self.lights.as_ref();
-        self.light_set = match technique.blocked {
+        let blocked = technique.blocked.resolved(lights, &self.cells);
+        self.light_set = match blocked {
             Blocked::Patches(n) => Some(LightSet::patches(lights, n as usize)),
             Blocked::MedianCut(n) => Some(LightSet::median_cut(lights, n as usize)),
             Blocked::Auto | Blocked::Draws | Blocked::Cells => None,
         };
-        self.by_cells = match technique.blocked {
-            Blocked::Auto => self.by_cells,
-            Blocked::Draws => false,
-            Blocked::Cells => self.cells.len() <= MOST_CELLS,
-            Blocked::Patches(_) | Blocked::MedianCut(_) => true,
-        };
+        self.by_cells = blocked != Blocked::Draws;
         if technique.draws != Draws::AsMade {
             self.lights = Cow::Owned(self.lights.with_draws(technique.draws));
         }
-        Self { technique, ..self }
+        Self { technique: Technique { blocked, ..technique }, ..self }
     }
 
     /// Traces a ray in both worlds at once.
@@ -273,10 +265,7 @@ impl<'a> World<'a> {
         }
         let world = self.scene.origin + surface.position.as_dvec3();
         let pixel = self.camera.project_world(world)?;
-        let inside = pixel.cmpge(DVec2::splat(-0.5)).all()
-            && pixel.x <= self.plate.width() as f64 - 0.5
-            && pixel.y <= self.plate.height() as f64 - 0.5;
-        if !inside {
+        if !self.camera.shows(pixel) {
             return None;
         }
         let distance = to_eye.length();

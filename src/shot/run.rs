@@ -142,7 +142,7 @@ fn run_one(
     stopwatch.begin("read the shot", watch);
     let (plan, prepared) = shared.plan(shot).map_err(RunError::Problems)?;
     let inputs: Vec<FileMark> = plan.inputs.iter().filter_map(|path| FileMark::of(path)).collect();
-    refuse_to_overwrite(files, &inputs)?;
+    refuse_to_overwrite(&files.folder, &plan.inputs, |name| files.is_result(name))?;
     let report_path = files.path("report", "json");
     if options.skip_existing
         && existing::is_complete(&report_path, &settings, context.seed, &inputs)
@@ -180,21 +180,29 @@ pub fn check_folder(folder: &Path) -> Result<(), RunError> {
         .map_err(|cause| RunError::Folder { folder: folder.to_owned(), cause })
 }
 
-/// Results must not take the place of what the shot is made from.
-fn refuse_to_overwrite(files: &OutFiles, inputs: &[FileMark]) -> Result<(), RunError> {
-    let Ok(folder) = std::fs::canonicalize(&files.folder) else { return Ok(()) };
-    let taken = inputs.iter().find(|input| {
-        std::fs::canonicalize(&input.file).is_ok_and(|file| {
-            let name = file.file_name().and_then(|name| name.to_str()).unwrap_or_default();
-            file.parent() == Some(&folder) && files.is_result(name)
-        })
-    });
-    match taken {
+/// Results, which `is_result` knows by their names in `folder`, must not take the place of what the
+/// shot is made from: not through a link either.
+///
+/// # Errors
+/// [`RunError::Problems`] with the input that would be lost.
+pub fn refuse_to_overwrite<'a>(
+    folder: &Path,
+    inputs: impl IntoIterator<Item = &'a PathBuf>,
+    is_result: impl Fn(&str) -> bool,
+) -> Result<(), RunError> {
+    let there = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    let results: Vec<PathBuf> = there
+        .filter(|entry| entry.file_name().to_str().is_some_and(&is_result))
+        .filter_map(|entry| std::fs::canonicalize(entry.path()).ok())
+        .collect();
+    let is_taken =
+        |input: &&PathBuf| std::fs::canonicalize(input).is_ok_and(|place| results.contains(&place));
+    match inputs.into_iter().find(is_taken) {
         None => Ok(()),
         Some(input) => Err(RunError::Problems(vec![format!(
             "--out {}: {} is an input of the shot and would be overwritten; name another folder",
-            files.folder.display(),
-            input.file.display()
+            folder.display(),
+            input.display()
         )])),
     }
 }

@@ -9,7 +9,7 @@ use crate::photo::Image;
 use crate::render::compare::Region;
 use crate::render::world::Groundwork;
 use crate::render::{
-    Context, Difference, Job, Numbers, Progress, RenderError, Stop, Technique, groundwork,
+    Blocked, Context, Difference, Job, Numbers, Progress, RenderError, Stop, Technique, groundwork,
     integrator_on,
 };
 use crate::report::chart::Point;
@@ -19,12 +19,19 @@ use crate::shot::watch::{Watch, thread_seconds};
 
 /// The shot at a size that can be rendered often.
 pub struct Bench<'a> {
+    small: Small<'a>,
+    /// The same for every method.
+    groundwork: Groundwork,
+}
+
+/// The shot with a plate of fewer pixels.
+struct Small<'a> {
     plan: &'a Plan,
     prepared: &'a Prepared,
+    /// Pixels of the plate that became one, across and down.
+    reduced: usize,
     plate: Image<Rgb>,
     camera: Camera,
-    /// The same for every method.
-    groundwork: Option<Groundwork>,
 }
 
 /// A rendering, and what it cost.
@@ -40,13 +47,6 @@ pub struct Rendering {
     pub setup_seconds: f64,
 }
 
-/// When a rendering is given up.
-#[derive(Clone, Copy)]
-pub struct Limit<'a> {
-    pub context: &'a Context,
-    pub deadline: Option<Instant>,
-}
-
 impl<'a> Bench<'a> {
     /// Every `reduced` × `reduced` pixels of the plate become one.
     pub fn new(
@@ -58,48 +58,42 @@ impl<'a> Bench<'a> {
         let plate = reduce(&plan.plate.linear, reduced);
         let (width, height) = (plate.width(), plate.height());
         let camera = prepared.camera.cropped(0.0, 0.0, 1.0 / reduced as f64, width, height);
-        let mut bench = Self { plan, prepared, plate, camera, groundwork: None };
-        let job = bench.job(Stop::Samples(1), false, Technique::default());
-        bench.groundwork = Some(groundwork(&job, context)?);
-        Ok(bench)
-    }
-
-    /// Caustics are everybody's as the shot asks for them.
-    fn job(&self, stop: Stop, denoise: bool, technique: Technique) -> Job<'_> {
-        Job {
-            scene: &self.prepared.scene,
-            lights: &self.prepared.light.lights,
-            camera: &self.camera,
-            plate: &self.plate,
-            stop,
-            numbers: Numbers::default(),
-            least_step: self.plan.plate.least_step(),
-            denoise,
-            technique: Technique { caustics: self.plan.shot.render.caustics, ..technique },
-        }
+        let small = Small { plan, prepared, reduced, plate, camera };
+        let groundwork =
+            groundwork(&small.job(Stop::Samples(1), false, Technique::default()), context)?;
+        Ok(Self { small, groundwork })
     }
 
     pub fn plate(&self) -> &Image<Rgb> {
-        &self.plate
+        &self.small.plate
     }
 
-    /// Renders until `stop`; `None` if the limit came first. `watch` hears how it goes on.
+    /// Pixels of the shot's plate that became one here, across and down.
+    pub fn reduced(&self) -> usize {
+        self.small.reduced
+    }
+
+    /// How blocked light is found where a technique says `blocked`.
+    pub fn resolved(&self, blocked: Blocked) -> Blocked {
+        blocked.resolved(&self.small.prepared.light.lights, &self.groundwork.cells)
+    }
+
+    /// Renders until `stop`; `None` if the context was over first. `watch` hears how it goes on.
     pub fn render(
         &self,
         row: &Row,
         stop: Stop,
-        limit: Limit,
+        context: &Context,
         watch: Option<&dyn Watch>,
     ) -> Result<Option<Rendering>, RenderError> {
         let begin = Instant::now();
-        let job = self.job(stop, row.denoise, row.technique);
-        let mut integrator = integrator_on(self.groundwork.as_ref(), row.method, job)?;
+        let job = self.small.job(stop, row.denoise, row.technique);
+        let mut integrator = integrator_on(Some(&self.groundwork), row.method, job)?;
         let setup_seconds = begin.elapsed().as_secs_f64();
         let (begin, worked) = (Instant::now(), thread_seconds());
-        let context = limit.context.until(limit.deadline);
         let mut samples = 0;
         let wave = loop {
-            let wave = integrator.next_wave(&context);
+            let wave = integrator.next_wave(context);
             samples += wave.samples;
             if let Some(watch) = watch {
                 watch.progress(wave.done, wave.error);
@@ -123,6 +117,23 @@ impl<'a> Bench<'a> {
             cpu_seconds: cpu_seconds.max(1e-4),
             setup_seconds,
         }))
+    }
+}
+
+impl Small<'_> {
+    /// Caustics are everybody's as the shot asks for them.
+    fn job(&self, stop: Stop, denoise: bool, technique: Technique) -> Job<'_> {
+        Job {
+            scene: &self.prepared.scene,
+            lights: &self.prepared.light.lights,
+            camera: &self.camera,
+            plate: &self.plate,
+            stop,
+            numbers: Numbers::default(),
+            least_step: self.plan.plate.least_step(),
+            denoise,
+            technique: Technique { caustics: self.plan.shot.render.caustics, ..technique },
+        }
     }
 }
 

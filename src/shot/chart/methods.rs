@@ -1,7 +1,6 @@
 //! The rows of a chart: what can be charted, by name.
 
-use crate::light::{Cells, Draws, Lights};
-use crate::render::blocked::{CELLS, cells_pay};
+use crate::light::Draws;
 use crate::render::{Blocked, Method, Technique};
 use crate::report::chart::Group;
 use crate::shot::keys::nearest;
@@ -44,20 +43,22 @@ const LISTS: [(&str, Blocked, &str); 6] = [
     ("median-cut-1024", Blocked::MedianCut(1024), "the same with 1024"),
 ];
 
+fn row(name: &'static str, group: Group, does: &'static str, technique: Technique) -> Row {
+    let method = Method::Coupled;
+    Row { name, group, does, method, technique, denoise: false, bias: None }
+}
+
+/// The default method, unfiltered.
+pub fn coupled() -> Row {
+    let default = Technique::default();
+    row("coupled", Group::Methods, "one path in two worlds: the default", default)
+}
+
 /// Every row but the shot's own settings.
 pub fn all() -> Vec<Row> {
-    let row = |name, group, does, technique: Technique| Row {
-        name,
-        group,
-        does,
-        method: Method::Coupled,
-        technique,
-        denoise: false,
-        bias: None,
-    };
     let default = Technique::default();
     let two_pass = |same_numbers| Method::TwoPass { same_numbers };
-    let coupled = row("coupled", Group::Methods, "one path in two worlds: the default", default);
+    let coupled = coupled();
     let mut rows = vec![
         Row {
             name: "two-pass-independent",
@@ -149,41 +150,17 @@ pub fn named(names: &[String]) -> Result<Vec<Row>, String> {
     Ok(rows.into_iter().filter(wanted).collect())
 }
 
-/// How some lights decide what techniques leave open.
-#[derive(Clone, Copy, Debug)]
-pub struct Decision {
-    /// What [`Blocked::Auto`] becomes.
-    auto: Blocked,
-    /// Cells and lists of lights are directions that hold everywhere: not with near walls.
-    far: bool,
-}
-
-impl Decision {
-    pub fn of(lights: &Lights) -> Self {
-        let by_cells = cells_pay(lights, &Cells::new(lights, CELLS));
-        let auto = if by_cells { Blocked::Cells } else { Blocked::Draws };
-        Self { auto, far: lights.proxy().is_none() }
-    }
-
-    /// The technique as it comes out.
-    pub fn on(&self, technique: Technique) -> Technique {
-        let blocked = match technique.blocked {
-            _ if !self.far => Blocked::Draws,
-            Blocked::Auto => self.auto,
-            other => other,
-        };
-        Technique { blocked, ..technique }
-    }
-}
-
-/// Takes out rows that come out as an earlier row or `auto` does; returns how they are called and what
-/// they equal.
+/// Takes out rows that come out as an earlier row or `auto` does, where `resolved` says what a choice
+/// comes to; returns how they are called and what they equal.
 pub fn without_repeats(
     auto: &Row,
     rows: Vec<Row>,
-    decision: &Decision,
+    resolved: impl Fn(Blocked) -> Blocked,
 ) -> (Vec<Row>, Vec<(&'static str, &'static str)>) {
-    let does = |row: &Row| (row.method, decision.on(row.technique), row.denoise);
+    let does = |row: &Row| {
+        let blocked = resolved(row.technique.blocked);
+        (row.method, Technique { blocked, ..row.technique }, row.denoise)
+    };
     let mut kept: Vec<Row> = Vec::new();
     let mut repeats = Vec::new();
     for row in rows {
@@ -200,7 +177,8 @@ pub fn without_repeats(
 mod tests {
     use super::*;
     use crate::conventions::Rgb;
-    use crate::light::Environment;
+    use crate::light::{Cells, Environment, Lights};
+    use crate::render::blocked::CELLS;
 
     #[test]
     fn rows_say_whether_they_are_biased_as_their_technique_does() {
@@ -208,7 +186,7 @@ mod tests {
         for row in &rows {
             assert_eq!(
                 row.bias.is_some(),
-                !row.technique.is_unbiased() || row.denoise,
+                !row.technique.only_noise_differs() || row.denoise,
                 "{}",
                 row.name
             );
@@ -229,8 +207,10 @@ mod tests {
     #[test]
     fn what_auto_chooses_is_not_measured_twice() {
         let lights = Lights::from_parts(Environment::constant(Rgb::ONE), Vec::new());
-        let auto = Row { name: AUTO, ..named(&["coupled".to_owned()]).unwrap()[0] };
-        let (kept, repeats) = without_repeats(&auto, all(), &Decision::of(&lights));
+        let cells = Cells::new(&lights, CELLS);
+        let auto = Row { name: AUTO, ..coupled() };
+        let (kept, repeats) =
+            without_repeats(&auto, all(), |blocked| blocked.resolved(&lights, &cells));
         // A constant sky has no suns: cells pay.
         assert_eq!(repeats, [("coupled", AUTO), ("cells", AUTO)]);
         assert_eq!(kept.len(), all().len() - 2);

@@ -1,6 +1,6 @@
 //! The part of the picture that is shown of every method, and the files of a chart.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use super::bench::Rendering;
 use crate::conventions::Rgb;
@@ -17,6 +17,7 @@ const SVG: &str = "chart.svg";
 const PNG: &str = "chart.png";
 const CROPS: &str = "crops.png";
 const HTML: &str = "chart.html";
+const FILES: [&str; 5] = [CSV, SVG, PNG, CROPS, HTML];
 
 /// Largest crop, px.
 const LARGEST: [usize; 2] = [290, 220];
@@ -59,27 +60,15 @@ impl Window {
         let difference = &rendering.difference;
         let picture = Image::from_fn(self.width, self.height, |x, y| {
             let at = (self.x + x, self.y + y);
-            let background =
-                plate[at] * (1.0 - difference.coverage[at]) + difference.difference[at];
-            difference.object[at] + background
+            difference.over(plate[at], at)
         });
         Crop { picture, cpu_seconds: rendering.cpu_seconds }
     }
 }
 
-/// Results must not take the place of what the shot is made from.
-pub fn refuse_to_overwrite(out: &Path, inputs: &[PathBuf]) -> Result<(), RunError> {
-    let place = |path: &Path| std::fs::canonicalize(path).ok();
-    let results: Vec<PathBuf> =
-        [CSV, SVG, PNG, CROPS, HTML].iter().filter_map(|name| place(&out.join(name))).collect();
-    let taken = inputs.iter().find(|input| place(input).is_some_and(|at| results.contains(&at)));
-    taken.map_or(Ok(()), |input| {
-        Err(RunError::Problems(vec![format!(
-            "--out {}: {} is an input of the shot and would be overwritten; name another folder",
-            out.display(),
-            input.display()
-        )]))
-    })
+/// Whether a chart writes a file of this name.
+pub fn is_result(name: &str) -> bool {
+    FILES.contains(&name)
 }
 
 /// Writes table, curves, crops and page.
@@ -93,7 +82,7 @@ pub fn write(
 ) -> Result<(), RunError> {
     std::fs::create_dir_all(out)
         .map_err(|cause| RunError::Folder { folder: out.to_owned(), cause })?;
-    chart.files = [CSV, SVG, PNG, CROPS, HTML].iter().map(|name| out.join(name)).collect();
+    chart.files = FILES.iter().map(|name| out.join(name)).collect();
     write_csv(&out.join(CSV), chart)?;
     write_svg(&out.join(SVG), chart)?;
     write::canvas(&out.join(PNG), canvas(chart))?;
