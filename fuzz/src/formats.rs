@@ -9,7 +9,7 @@ use std::path::Path;
 use platelight::bracket::exposure;
 use platelight::camera;
 use platelight::photo::{self, ReadOptions};
-use platelight::scene;
+use platelight::scene::{self, Model, SceneError};
 use platelight::shot::file::ShotFile;
 
 /// A format: the name of its fuzz target and corpus folder, and its function.
@@ -104,7 +104,18 @@ fn mesh(name: &str, bytes: &[u8], beside: Option<(&str, &str)>) {
     if let Some((name, text)) = beside {
         write(name, text.as_bytes());
     }
-    match scene::read(&path) {
+    let read = scene::read(&path);
+    // As it moves, too: what can be broken at rest and played need not be the same.
+    let played = scene::read_played(&path, None)
+        .and_then(|model| [0.0, 0.75, 1e30].into_iter().try_fold(model, |m, time| m.at_time(time)));
+    for result in [read, played] {
+        judge(&path, result);
+    }
+}
+
+/// Panics where a model breaks its promises, or an error does not name the file.
+fn judge(path: &Path, result: Result<Model, SceneError>) {
+    match result {
         Ok(model) => {
             for mesh in &model.meshes {
                 assert!(mesh.positions.iter().all(|p| p.is_finite()));

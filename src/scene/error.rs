@@ -16,6 +16,9 @@ pub enum SceneError {
     TooLarge { path: PathBuf, place: String, found: String, limit: String, remedy: &'static str },
     #[error("{}: requires the glTF extension {name}, which is not supported; export without it", path.display())]
     RequiredExtension { path: PathBuf, name: String },
+    /// `known` says which there are.
+    #[error("{}: there is no animation {asked:?}; {known}", path.display())]
+    NoAnimation { path: PathBuf, asked: String, known: String },
     /// A corner that, once placed, lies where f32 has no room for triangles.
     #[error(
         "model {model:?}: mesh {mesh:?}: a corner lies {distance_m:e} m from the world's origin, \

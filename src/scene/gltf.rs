@@ -2,29 +2,44 @@
 //!
 //! Read: nodes with their transforms, triangle lists, strips and fans, normals, two sets of texture
 //! coordinates, tangents, vertex colours, sparse accessors, materials with the extensions of
-//! [`SUPPORTED`](super::gltf_extensions::SUPPORTED). Skins and morph targets stay in their rest pose,
-//! with a warning; points, lines, cameras, lights and animations are left out. Nothing outside the
-//! file's own folder is opened.
+//! [`SUPPORTED`](super::gltf_extensions::SUPPORTED), and an animation of the nodes if it is asked for.
+//! Skins and morph targets stay in their rest pose, with a warning; points, lines, cameras and lights
+//! are left out. Nothing outside the file's own folder is opened.
 
-use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
-use glam::{DAffine3, DMat3, DMat4, DQuat, DVec3, Vec2, Vec3, Vec4};
+use glam::{DAffine3, DMat4, DVec3, DVec4, Vec2, Vec3, Vec4};
 use gltf::Semantic;
 use gltf::json::Value;
 use gltf::mesh::Mode;
 
-use super::assemble::{normal_matrix, transform_normals, transform_tangents, turned};
 use super::budget::Budget;
 use super::buffers::{Buffers, Container, MAX_ELEMENTS, named_file, split};
 use super::files::read_file;
+use super::gltf_animation::{self, mark_channels_without_node};
 use super::gltf_extensions::{may_be_required, names, remarks};
 use super::gltf_material::MaterialReader;
 use super::gltf_place;
+use super::hierarchy::{Hierarchy, Local, Node, Part};
+use super::model::Played;
 use super::{Model, ModelMesh, SceneError};
 
-/// Reads the default scene of a glTF file (the first if none is named).
+/// Reads the default scene of a glTF file (the first if none is named), at rest.
 pub fn read(path: &Path) -> Result<Model, SceneError> {
+    read_with(path, None)
+}
+
+/// As [`read`], with the animation of a name, or the first, for [`Model::at_time`].
+///
+/// # Errors
+/// Also what is broken in that animation; [`SceneError::NoAnimation`] if none is called so.
+pub fn read_played(path: &Path, animation: Option<&str>) -> Result<Model, SceneError> {
+    read_with(path, Some(animation))
+}
+
+/// `animation`: whether one is read, and which.
+fn read_with(path: &Path, animation: Option<Option<&str>>) -> Result<Model, SceneError> {
     let bytes = read_file(path)?;
     let Container { json, binary, warnings } = split(path, &bytes)?;
     let (document, extension_warnings) = parse(path, json)?;
@@ -36,12 +51,22 @@ pub fn read(path: &Path) -> Result<Model, SceneError> {
         materials: MaterialReader::new(path, &document, &buffers),
         buffers: &buffers,
         material_numbers: Vec::new(),
-        model: Model { name, files: files(path, &document), warnings, ..Model::default() },
+        model: Model {
+            name,
+            files: files(path, &document),
+            warnings,
+            animations: gltf_animation::names(&document),
+            ..Model::default()
+        },
+        hierarchy: Hierarchy::default(),
         n_vertices: 0,
     };
     reader.model.warnings.extend(extension_warnings);
     reader.scene(&document)?;
-    Ok(reader.finish())
+    if let Some(asked) = animation {
+        reader.play(&document, asked)?;
+    }
+    reader.finish()
 }
 
 /// The file itself and those its buffers and images name.
@@ -71,6 +96,7 @@ fn parse(path: &Path, json: &[u8]) -> Result<(gltf::Document, Vec<String>), Scen
     if let Some(object) = value.as_object_mut() {
         object.remove("extensionsRequired");
     }
+    mark_channels_without_node(&mut value);
     // Exporters forget them, the crate insists, nobody here reads them: bounds of the positions.
     let accessors = value.get_mut("accessors").and_then(Value::as_array_mut).into_iter().flatten();
     for accessor in accessors.filter_map(Value::as_object_mut) {
@@ -109,6 +135,7 @@ struct Reader<'a> {
     /// glTF's number (`None` = the default material) of each material read.
     material_numbers: Vec<Option<usize>>,
     model: Model,
+    hierarchy: Hierarchy,
     n_vertices: usize,
 }
 
@@ -118,36 +145,39 @@ impl Reader<'_> {
             self.model.warnings.push("it has no scene".into());
             return Ok(());
         };
-        let mut pending: Vec<_> = scene.nodes().map(|node| (node, DAffine3::IDENTITY)).collect();
+        let mut pending: Vec<_> = scene.nodes().map(|node| (node, None)).collect();
         pending.reverse();
         let mut visited = vec![false; document.nodes().len()];
-        while let Some((node, world_from_parent)) = pending.pop() {
+        while let Some((node, parent)) = pending.pop() {
             // A tree visits each node once; anything else is a cycle or a second parent.
             if std::mem::replace(&mut visited[node.index()], true) {
                 let problem = "it is its own ancestor or has two parents".into();
                 return Err(self.broken(format!("nodes[{}]", node.index()), problem));
             }
-            let world_from_node = world_from_parent * local_transform(&node);
-            if !world_from_node.is_finite() {
-                let problem = "its transform is not finite".into();
-                return Err(self.broken(format!("nodes[{}]", node.index()), problem));
-            }
+            let (number, rest) = (node.index(), local_transform(&node));
+            self.hierarchy.nodes.push(Node { number, parent, rest, moves: Default::default() });
+            let own = self.hierarchy.nodes.len() - 1;
             if let Some(mesh) = node.mesh() {
-                self.mesh(&node, &mesh, &world_from_node)?;
+                self.mesh(&node, &mesh, own)?;
             }
             let first = pending.len();
-            pending.extend(node.children().map(|child| (child, world_from_node)));
+            pending.extend(node.children().map(|child| (child, Some(own))));
             pending[first..].reverse();
         }
         Ok(())
     }
 
-    fn mesh(
-        &mut self,
-        node: &gltf::Node,
-        mesh: &gltf::Mesh,
-        world_from_node: &DAffine3,
-    ) -> Result<(), SceneError> {
+    /// Reads an animation and gives the nodes of the scene what it does to them.
+    fn play(&mut self, document: &gltf::Document, asked: Option<&str>) -> Result<(), SceneError> {
+        let mut read = gltf_animation::read(self.path, document, self.buffers, asked)?;
+        self.model.warnings.append(&mut read.warnings);
+        for node in &mut self.hierarchy.nodes {
+            node.moves = read.moves.remove(&node.number).unwrap_or_default();
+        }
+        Ok(())
+    }
+
+    fn mesh(&mut self, node: &gltf::Node, mesh: &gltf::Mesh, own: usize) -> Result<(), SceneError> {
         let place = match mesh.name() {
             Some(name) => format!("meshes[{}] {name:?}", mesh.index()),
             None => format!("meshes[{}]", mesh.index()),
@@ -171,9 +201,7 @@ impl Reader<'_> {
                     }
                 }
                 read.name = mesh.name().or(node.name()).unwrap_or_default().into();
-                transform(&mut read, world_from_node);
-                read.mend(&place, &mut self.model.warnings);
-                self.model.meshes.push(read);
+                self.hierarchy.parts.push(Part { node: own, place, mesh: read });
             }
         }
         Ok(())
@@ -306,16 +334,26 @@ impl Reader<'_> {
         })
     }
 
-    fn finish(mut self) -> Model {
+    /// Puts the meshes in their places at rest; what moves keeps them as they were read besides.
+    fn finish(mut self) -> Result<Model, SceneError> {
         self.model.textures = self.materials.textures;
         self.model.warnings.extend(self.materials.warnings);
-        self.model.mend_solids();
-        if self.model.n_triangles() == 0 {
-            self.model.warnings.push("it holds no triangles: nothing of it can be seen".into());
+        let placed = self.hierarchy.file_from_nodes(None, self.path)?;
+        let parts = if self.hierarchy.moves() {
+            let hierarchy = Arc::new(self.hierarchy);
+            let warnings = self.model.warnings.clone();
+            self.model.played = Some(Played { hierarchy: hierarchy.clone(), warnings });
+            hierarchy.parts.clone()
+        } else {
+            self.hierarchy.parts
+        };
+        for part in parts {
+            let file_from_node = &placed[part.node];
+            let mesh = part.placed(file_from_node, &mut self.model.warnings);
+            self.model.meshes.push(mesh);
         }
-        let mut seen = BTreeSet::new();
-        self.model.warnings.retain(|warning| seen.insert(warning.clone()));
-        self.model
+        self.model.conclude();
+        Ok(self.model)
     }
 
     fn warn(&mut self, warning: String) {
@@ -331,34 +369,19 @@ fn vectors<const N: usize, T>(values: Vec<[f32; N]>, of: impl Fn([f32; N]) -> T)
     values.into_iter().map(of).collect()
 }
 
-fn local_transform(node: &gltf::Node) -> DAffine3 {
+fn local_transform(node: &gltf::Node) -> Local {
     use gltf::scene::Transform;
     match node.transform() {
         Transform::Matrix { matrix } => {
-            DAffine3::from_mat4(DMat4::from_cols_array_2d(&matrix.map(|c| c.map(f64::from))))
+            let matrix = DMat4::from_cols_array_2d(&matrix.map(|c| c.map(f64::from)));
+            Local::Matrix(DAffine3::from_mat4(matrix))
         }
-        Transform::Decomposed { translation, rotation, scale } => {
-            let rotation = DQuat::from_array(rotation.map(f64::from));
-            let length = rotation.length();
-            let unit = if length > 0.0 { rotation / length } else { DQuat::IDENTITY };
-            DAffine3::from_scale_rotation_translation(
-                DVec3::from(scale.map(f64::from)),
-                unit,
-                DVec3::from(translation.map(f64::from)),
-            )
-        }
+        Transform::Decomposed { translation, rotation, scale } => Local::Apart {
+            translation: DVec3::from(translation.map(f64::from)),
+            rotation: DVec4::from(rotation.map(f64::from)),
+            scale: DVec3::from(scale.map(f64::from)),
+        },
     }
-}
-
-/// Takes a mesh from its node's frame to the file's.
-fn transform(mesh: &mut ModelMesh, world_from_node: &DAffine3) {
-    let matrix: DMat3 = world_from_node.matrix3;
-    for position in &mut mesh.positions {
-        *position = world_from_node.transform_point3(*position);
-    }
-    mesh.normals = transform_normals(&mesh.normals, normal_matrix(&matrix));
-    mesh.tangents = transform_tangents(&mesh.tangents, &matrix);
-    mesh.triangles = turned(&mesh.triangles, matrix.determinant() < 0.0);
 }
 
 /// Triangles of a list, strip or fan (glTF 2.0, 3.7.2.1); every other one of a strip is turned.

@@ -8,11 +8,11 @@ use gltf::json::Value;
 use super::{Model, SceneError, gltf::read};
 
 /// Bytes of little-endian floats.
-fn floats(values: &[f32]) -> Vec<u8> {
+pub(super) fn floats(values: &[f32]) -> Vec<u8> {
     values.iter().flat_map(|value| value.to_le_bytes()).collect()
 }
 
-fn base64(bytes: &[u8]) -> String {
+pub(super) fn base64(bytes: &[u8]) -> String {
     const ALPHABET: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
     let letters = |chunk: &[u8]| {
         let bits = chunk.iter().fold(0_u32, |bits, &b| bits << 8 | u32::from(b));

@@ -1,8 +1,10 @@
 //! What stands in the world: meshes, materials, inserted objects and the modelled local scene.
 //!
-//! glTF and OBJ files → [`Model`] ([`read`]) → [`Scene`] (objects · local things); a point of it →
-//! [`Surface`]. Start with [`Scene::add_object`]. This room never traces or lights.
+//! glTF and OBJ files → [`Model`] ([`read`], [`read_played`] with what moves in it) → [`Scene`] (objects ·
+//! local things); a point of it → [`Surface`]. Start with [`Scene::add_object`]. This room never traces
+//! or lights.
 
+pub mod animation;
 pub mod assemble;
 pub mod bounds;
 mod budget;
@@ -12,12 +14,16 @@ mod error;
 mod file_tests;
 mod files;
 pub mod gltf;
+mod gltf_animation;
+#[cfg(test)]
+mod gltf_animation_tests;
 pub mod gltf_extensions;
 mod gltf_layers;
 mod gltf_material;
 mod gltf_place;
 #[cfg(test)]
 mod gltf_tests;
+pub mod hierarchy;
 pub mod layers;
 pub mod material;
 pub mod mesh;
@@ -89,12 +95,38 @@ pub enum AlbedoSource {
     Material,
 }
 
-/// Reads a mesh file by its extension: `.glb`, `.gltf` or `.obj`.
+/// Reads a mesh file by its extension: `.glb`, `.gltf` or `.obj`. What moves in it is at rest.
 pub fn read(path: &Path) -> Result<Model, SceneError> {
-    let extension = path.extension().and_then(|e| e.to_str()).unwrap_or("").to_ascii_lowercase();
-    match extension.as_str() {
-        "glb" | "gltf" => gltf::read(path),
-        "obj" => obj::read(path),
-        _ => Err(SceneError::UnknownFormat { path: path.into() }),
+    match Format::of(path)? {
+        Format::Gltf => gltf::read(path),
+        Format::Obj => obj::read(path),
+    }
+}
+
+/// As [`read`], with the animation called so, or the first: see [`Model::at_time`].
+///
+/// # Errors
+/// As [`read`]; [`SceneError::NoAnimation`] if none is called so. A file without any is at rest.
+pub fn read_played(path: &Path, animation: Option<&str>) -> Result<Model, SceneError> {
+    match (Format::of(path)?, animation) {
+        (Format::Gltf, _) => gltf::read_played(path, animation),
+        (Format::Obj, None) => obj::read(path),
+        (Format::Obj, Some(asked)) => Err(gltf_animation::no_animation(path, asked, &[])),
+    }
+}
+
+enum Format {
+    Gltf,
+    Obj,
+}
+
+impl Format {
+    fn of(path: &Path) -> Result<Self, SceneError> {
+        let extension = path.extension().and_then(|e| e.to_str()).unwrap_or("");
+        match extension.to_ascii_lowercase().as_str() {
+            "glb" | "gltf" => Ok(Self::Gltf),
+            "obj" => Ok(Self::Obj),
+            _ => Err(SceneError::UnknownFormat { path: path.into() }),
+        }
     }
 }

@@ -1,12 +1,14 @@
 //! [`Model`]: a mesh file in memory, before it is placed.
 
-use std::collections::HashMap;
 use std::collections::hash_map::{DefaultHasher, Entry};
+use std::collections::{BTreeSet, HashMap};
 use std::hash::{Hash, Hasher};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
-use glam::{DAffine3, DVec3, Vec2, Vec3, Vec4};
+use glam::{DAffine3, DMat3, DVec3, Vec2, Vec3, Vec4};
 
+use super::hierarchy::Hierarchy;
 use super::{Material, SceneError, Texture};
 use crate::conventions::FARTHEST_M;
 
@@ -24,6 +26,18 @@ pub struct Model {
     pub textures: Vec<Texture>,
     /// What was left out or mended while reading, for the report; each says how much.
     pub warnings: Vec<String>,
+    /// Names of the file's animations.
+    pub animations: Vec<String>,
+    /// What moves in it, if it was read to be played and anything does.
+    pub played: Option<Played>,
+}
+
+/// A model's nodes and meshes before they were put in their places: see [`Model::at_time`].
+#[derive(Clone, Debug)]
+pub struct Played {
+    pub(super) hierarchy: Arc<Hierarchy>,
+    /// Those of reading, without those of a place.
+    pub(super) warnings: Vec<String>,
 }
 
 /// As [`Mesh`](super::Mesh), positions in f64.
@@ -59,6 +73,69 @@ impl Model {
             }
         }
         bounds
+    }
+
+    /// As [`Model::bounds`], of all that the model's animation passes; a turning part counts with its
+    /// box. The same at every time. That of the model itself if nothing moves.
+    pub fn swept_bounds(&self, world_from_model: &DAffine3) -> Option<[DVec3; 2]> {
+        let Some(played) = &self.played else { return self.bounds(world_from_model) };
+        played.hierarchy.swept_bounds(world_from_model, self.path())
+    }
+
+    /// The model as it stands at a time of the animation it was read with, seconds; before the first
+    /// key and after the last it stands still. Itself if nothing moves. Meshes that are scaled to nothing
+    /// are not there.
+    ///
+    /// Made from the file's own corners: no time hangs on the one shown before.
+    ///
+    /// # Errors
+    /// [`SceneError::Broken`] names a node whose transform is not finite then.
+    pub fn at_time(&self, time_s: f64) -> Result<Self, SceneError> {
+        let Some(played) = &self.played else { return Ok(self.clone()) };
+        let hierarchy = &played.hierarchy;
+        let placed = hierarchy.file_from_nodes(Some(time_s), self.path())?;
+        let mut warnings = played.warnings.clone();
+        let mut meshes = Vec::with_capacity(hierarchy.parts.len());
+        for part in &hierarchy.parts {
+            let file_from_node = &placed[part.node];
+            // Scaled to nothing is how animations hide things: no news.
+            if !flattens_all(&file_from_node.matrix3) {
+                meshes.push(part.clone().placed(file_from_node, &mut warnings));
+            }
+        }
+        let mut model = Self {
+            name: self.name.clone(),
+            files: self.files.clone(),
+            meshes,
+            materials: self.materials.clone(),
+            textures: self.textures.clone(),
+            warnings,
+            animations: self.animations.clone(),
+            played: self.played.clone(),
+        };
+        model.mend_solids();
+        model.tell_once();
+        Ok(model)
+    }
+
+    /// The file that was named.
+    fn path(&self) -> &Path {
+        self.files.first().map_or(Path::new(""), PathBuf::as_path)
+    }
+
+    /// What is told once all meshes are in their places.
+    pub(super) fn conclude(&mut self) {
+        self.mend_solids();
+        if self.n_triangles() == 0 {
+            self.warnings.push("it holds no triangles: nothing of it can be seen".into());
+        }
+        self.tell_once();
+    }
+
+    /// Each sentence once.
+    fn tell_once(&mut self) {
+        let mut seen = BTreeSet::new();
+        self.warnings.retain(|warning| seen.insert(warning.clone()));
     }
 }
 
@@ -106,6 +183,12 @@ impl Model {
             }
         }
     }
+}
+
+/// True if no triangle keeps an area.
+fn flattens_all(matrix: &DMat3) -> bool {
+    let [x, y, z] = [matrix.x_axis, matrix.y_axis, matrix.z_axis];
+    [x.cross(y), y.cross(z), z.cross(x)].iter().all(|&normal| normal == DVec3::ZERO)
 }
 
 impl ModelMesh {

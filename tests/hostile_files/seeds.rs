@@ -28,7 +28,11 @@ pub fn of(format: &str) -> Vec<Seed> {
             ("adobe", profile(moxcms::ColorProfile::new_adobe_rgb())),
         ],
         "gltf" => {
-            vec![("layers", layers().into()), ("triangle", gltf(TRIANGLE, ORANGE, "").into())]
+            vec![
+                ("layers", layers().into()),
+                ("moving", moving().into()),
+                ("triangle", gltf(TRIANGLE, ORANGE, "").into()),
+            ]
         }
         "glb" => vec![("triangle", glb())],
         "obj" => vec![("square", OBJ.into())],
@@ -241,6 +245,19 @@ fn layers() -> String {
         r#""textures":[{{"source":0,"sampler":0}}],"samplers":[{{"wrapS":33071}}],"images":[{{"uri":"{TEXEL}"}}],"#
     );
     gltf(TRIANGLE, &material, &more)
+}
+
+/// The triangle moved, turned and scaled by the numbers of its own corners.
+fn moving() -> String {
+    let animations = r#""animations":[{"name":"go","channels":[{"sampler":0,"target":{"node":0,"path":"translation"}},
+{"sampler":1,"target":{"node":0,"path":"rotation"}},{"sampler":2,"target":{"node":0,"path":"scale"}}],
+"samplers":[{"input":2,"output":3},{"input":2,"output":4,"interpolation":"STEP"},{"input":5,"output":0,"interpolation":"CUBICSPLINE"}]}],"#;
+    let accessors = r#""SCALAR"},
+{"bufferView":0,"byteOffset":8,"componentType":5126,"count":2,"type":"SCALAR"},
+{"bufferView":0,"componentType":5126,"count":2,"type":"VEC3"},
+{"bufferView":0,"componentType":5126,"count":2,"type":"VEC4"},
+{"bufferView":0,"byteOffset":12,"componentType":5126,"count":1,"type":"SCALAR"}]}"#;
+    gltf(TRIANGLE, ORANGE, animations).replace("\"SCALAR\"}]}", accessors)
 }
 
 fn glb() -> Vec<u8> {
