@@ -52,7 +52,7 @@ pub fn check(shot: &ShotFile, context: &Context, watch: &dyn Watch) -> Result<Fi
                 Some(format!("{shot}: plate.file: {}: {cause}", file.display()))
             })
             .collect();
-        first.plate.file = files.into_iter().next().unwrap_or_default();
+        first = list.iter().next().map_or(first, |frame| shot.at_frame(frame));
     }
     if !missing.is_empty() {
         return Err(RunError::Problems(missing));

@@ -12,6 +12,7 @@ use toml::de::DeTable;
 use super::camera_keys::{CameraKeys, ExposureKeys, PoseSource};
 use super::frames::{Frames, frame_path, has_pattern};
 use super::keys::{Keys, Problems};
+use super::motion::Motion;
 use super::prepare::METHODS;
 use super::probe_keys::{Lamp, ProbeKeys, Surroundings};
 use super::stop::StopKeys;
@@ -43,6 +44,10 @@ pub struct PlateKeys {
     /// A picture, or with `frames` a pattern such as `plate.####.exr`.
     pub file: PathBuf,
     pub frames: Option<Frames>,
+    /// Frames a second, which animations play by.
+    pub fps: f64,
+    /// Which frame of a sequence `file` is; `None` of the pattern and of a single plate.
+    pub frame: Option<i64>,
     pub colour: PlateColour,
     pub exposure: ExposureKeys,
     /// Plate value = this × the probe's radiance, where exposures are not known.
@@ -95,6 +100,8 @@ pub enum Albedo {
 pub struct Local {
     pub file: PathBuf,
     pub holdout: bool,
+    #[serde(flatten)]
+    pub motion: Motion,
 }
 
 /// `[[object]]`: a thing to insert.
@@ -106,6 +113,8 @@ pub struct Object {
     /// Degrees about the world's X, then Y, then Z.
     pub rotate: [f64; 3],
     pub scale: f64,
+    #[serde(flatten)]
+    pub motion: Motion,
 }
 
 /// `[render]`: when to stop and how to work.
@@ -260,10 +269,11 @@ fn read_root(root: &Keys, path: &Path, folder: &Path) -> Option<ShotFile> {
     let lamps = lamps.iter().filter_map(Lamp::read).collect();
     let support = section("support", SUPPORT, "add [support] with plane = { size = [3.0, 3.0] }")
         .and_then(|keys| read_support(&keys, folder));
-    let local = root.tables("local", &["file", "holdout"]);
-    let local = local.iter().filter_map(|keys| read_local(keys, folder)).collect();
-    let objects = root.tables("object", &["file", "at", "rotate", "scale"]);
-    let objects = objects.iter().filter_map(|keys| read_object(keys, folder)).collect();
+    let local = root.tables("local", LOCAL);
+    let local = local.iter().filter_map(|keys| read_local(keys, folder, plate.as_ref())).collect();
+    let objects = root.tables("object", OBJECT);
+    let objects =
+        objects.iter().filter_map(|keys| read_object(keys, folder, plate.as_ref())).collect();
     let render = root.table("render", RENDER).map_or_else(
         || {
             Some(Render {
@@ -295,7 +305,9 @@ fn read_root(root: &Keys, path: &Path, folder: &Path) -> Option<ShotFile> {
     })
 }
 
-const PLATE: &[&str] = &["file", "frames", "colour", "exposure", "relative_exposure"];
+const PLATE: &[&str] = &["file", "frames", "fps", "colour", "exposure", "relative_exposure"];
+/// Film's.
+const FPS: f64 = 24.0;
 
 fn read_plate(keys: &Keys, folder: &Path) -> Option<PlateKeys> {
     let file = keys.need("file", keys.text("file"), "name the photograph");
@@ -321,6 +333,13 @@ fn read_plate(keys: &Keys, folder: &Path) -> Option<PlateKeys> {
             (false, false) => keys.names_file("file", folder.join(file)),
         }
     }
+    let fps = keys.positive("fps");
+    if fps.is_some() && !keys.has("frames") {
+        keys.problem(
+            "fps",
+            "is given, but there are no frames; give frames, or object.time instead",
+        );
+    }
     let exposure = ExposureKeys::read(keys, "exposure");
     let relative_exposure = keys.positive("relative_exposure");
     if relative_exposure.is_some() && keys.has("exposure") {
@@ -336,7 +355,8 @@ fn read_plate(keys: &Keys, folder: &Path) -> Option<PlateKeys> {
             PlateColour::Named(name.to_owned())
         }
     };
-    Some(PlateKeys { file: folder.join(file?), frames, colour, exposure, relative_exposure })
+    let (file, fps) = (folder.join(file?), fps.unwrap_or(FPS));
+    Some(PlateKeys { file, frames, fps, frame: None, colour, exposure, relative_exposure })
 }
 
 /// Side beyond which the f32 of meshes would lose the shadows of things of a metre, metres.
@@ -377,18 +397,24 @@ fn read_support(keys: &Keys, folder: &Path) -> Option<Support> {
     Some(Support { shape, albedo: albedo? })
 }
 
-fn read_local(keys: &Keys, folder: &Path) -> Option<Local> {
+const LOCAL: &[&str] = &["file", "holdout", "animation", "time", "start_frame"];
+
+fn read_local(keys: &Keys, folder: &Path, plate: Option<&PlateKeys>) -> Option<Local> {
     let file = keys.need("file", keys.file("file", folder), "name a .glb, .gltf or .obj file");
     let holdout = keys.flag("holdout").unwrap_or(false);
-    Some(Local { file: file?, holdout })
+    let motion = Motion::read(keys, plate);
+    Some(Local { file: file?, holdout, motion })
 }
 
-fn read_object(keys: &Keys, folder: &Path) -> Option<Object> {
+const OBJECT: &[&str] = &["file", "at", "rotate", "scale", "animation", "time", "start_frame"];
+
+fn read_object(keys: &Keys, folder: &Path, plate: Option<&PlateKeys>) -> Option<Object> {
     let file = keys.need("file", keys.file("file", folder), "name a .glb, .gltf or .obj file");
     let at = keys.place("at").unwrap_or_default();
     let rotate = keys.numbers("rotate").unwrap_or_default();
     let scale = keys.positive("scale").unwrap_or(1.0);
-    Some(Object { file: file?, at, rotate, scale })
+    let motion = Motion::read(keys, plate);
+    Some(Object { file: file?, at, rotate, scale, motion })
 }
 
 const RENDER: &[&str] =

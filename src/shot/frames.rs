@@ -4,6 +4,8 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
+use super::file::ShotFile;
+
 /// Frame numbers in the order in which they were named, without repetition.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Frames(Vec<i64>);
@@ -38,9 +40,13 @@ impl Frames {
     }
 }
 
-/// A number that frames can have; sums of two of them do not overflow.
+/// Whether frames can have this number; sums of two of them do not overflow.
+pub fn is_number(number: &i64) -> bool {
+    number.unsigned_abs() < 1 << 40
+}
+
 fn number(text: &str) -> Option<i64> {
-    text.parse::<i64>().ok().filter(|n| n.unsigned_abs() < 1 << 40)
+    text.parse().ok().filter(is_number)
 }
 
 /// First, last and step of one range; `None` if it is not one, runs backwards or has no positive step.
@@ -56,6 +62,16 @@ fn parse_part(part: &str) -> Option<(i64, i64, i64)> {
         None => (number(range)?, number(range)?),
     };
     (first <= last).then_some((first, last, step))
+}
+
+impl ShotFile {
+    /// The shot of one frame of the sequence.
+    pub fn at_frame(&self, frame: i64) -> Self {
+        let mut single = self.clone();
+        single.plate.file = frame_path(&self.plate.file, frame);
+        single.plate.frame = Some(frame);
+        single
+    }
 }
 
 /// True if the file's name has a place for a frame's number: `####`, `%04d` or `$F4`.

@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use toml::Spanned;
 use toml::de::{DeArray, DeTable, DeValue};
 
-use super::pictures;
+use super::{frames, pictures};
 use crate::conventions::FARTHEST_M;
 
 /// Everything found wrong with one file, each with file, line, key and remedy.
@@ -200,6 +200,11 @@ impl<'a> Keys<'a> {
         self.read(key, "a whole number from 0 to 4294967295", count)
     }
 
+    /// A whole number as frames have them, also below zero.
+    pub fn whole(&self, key: &'static str) -> Option<i64> {
+        self.read(key, "a whole number as frames have them", whole)
+    }
+
     /// `N` finite numbers.
     pub fn numbers<const N: usize>(&self, key: &'static str) -> Option<[f64; N]> {
         self.read(key, &format!("{N} finite numbers in brackets"), |v| numbers(v.as_array()?))
@@ -334,6 +339,15 @@ fn number(value: &DeValue) -> Option<f64> {
 fn count(value: &DeValue) -> Option<u32> {
     match value {
         DeValue::Integer(i) => u32::from_str_radix(i.as_str(), i.radix()).ok(),
+        _ => None,
+    }
+}
+
+fn whole(value: &DeValue) -> Option<i64> {
+    match value {
+        DeValue::Integer(i) => {
+            i64::from_str_radix(i.as_str(), i.radix()).ok().filter(frames::is_number)
+        }
         _ => None,
     }
 }

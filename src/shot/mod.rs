@@ -18,6 +18,7 @@ pub mod frames;
 pub mod keys;
 pub mod light;
 pub mod locate;
+pub mod motion;
 pub mod near_field;
 pub mod overlays;
 pub mod pictures;

@@ -286,9 +286,10 @@ fn probe_radius(plan: &Plan) -> f64 {
     }
 }
 
-/// Largest distance from the probe to a corner of the objects' box, metres; 0 without objects.
+/// Largest distance from the probe to a corner of the box that the objects are in in all frames, metres;
+/// 0 without objects.
 fn reach(plan: &Plan, probe: DVec3) -> f64 {
-    let Some([min, max]) = place::object_box(plan) else { return 0.0 };
+    let Some([min, max]) = place::swept_box(plan) else { return 0.0 };
     let far = (probe - min).abs().max((max - probe).abs());
     far.length()
 }

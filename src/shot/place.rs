@@ -20,7 +20,12 @@ pub fn world_from_model(object: &Object) -> DAffine3 {
 /// What has no room in the world, see [`Model::check_place`].
 pub fn scene(plan: &Plan) -> Result<Scene, SceneError> {
     let placed = placed_objects(plan);
-    let origin = if placed.is_empty() { support_centre(plan) } else { assemble::centre(&placed) };
+    // The frames of a sequence share the light, which lies in the scene's frame: an origin that things
+    // do not carry along.
+    let origin = match plan.moves() || placed.is_empty() {
+        true => support_centre(plan),
+        false => assemble::centre(&placed),
+    };
     let mut scene = Scene::new(origin);
     let albedo = match plan.shot.support.albedo {
         Albedo::Plate => AlbedoSource::Plate,
@@ -70,6 +75,14 @@ pub fn object_boxes(plan: &Plan) -> Vec<(&str, [DVec3; 8])> {
 /// World box of the objects; `None` without any.
 pub fn object_box(plan: &Plan) -> Option<[DVec3; 2]> {
     let boxes = placed_objects(plan).into_iter().filter_map(|(model, at)| model.bounds(&at));
+    boxes.reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])])
+}
+
+/// World box of the objects in all frames of the shot; `None` without any.
+pub fn swept_box(plan: &Plan) -> Option<[DVec3; 2]> {
+    let boxes = placed_objects(plan).into_iter().enumerate().filter_map(|(i, (model, at))| {
+        if plan.object_moves(i) { model.swept_bounds(&at) } else { model.bounds(&at) }
+    });
     boxes.reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])])
 }
 
@@ -165,6 +178,7 @@ pub fn ground(plan: &Plan) -> Option<Ground> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::shot::motion::Motion;
 
     #[test]
     fn objects_are_scaled_then_turned_about_x_y_z_then_moved() {
@@ -173,6 +187,7 @@ mod tests {
             at: [1.0, 2.0, 3.0],
             rotate: [0.0, 90.0, 0.0],
             scale: 2.0,
+            motion: Motion::default(),
         };
         let p = world_from_model(&object).transform_point3(DVec3::Z);
         assert!((p - DVec3::new(3.0, 2.0, 3.0)).length() < 1e-12, "{p}");

@@ -26,7 +26,8 @@ const TOO_SMALL: f64 = 1.0 / 250.0;
 pub struct Judged {
     /// One sentence for each object that is not where it can be meant to be.
     pub warnings: Vec<Warning>,
-    /// No pixel may show some object: it is out of sight, or far too small or large. It is told of.
+    /// No pixel may show some object: it is out of sight, or far too small or large, which is told of,
+    /// or its animation hides it.
     pub maybe_unseen: bool,
 }
 
@@ -37,14 +38,21 @@ pub fn judge(plan: &Plan, scene: &Scene, camera: &Camera, local: &Accel) -> Judg
     let mut judged = Judged { warnings: Vec::new(), maybe_unseen: false };
     for (i, name) in scene.object_names.iter().enumerate() {
         let meshes: Vec<&Mesh> = scene.objects.iter().filter(|mesh| mesh.placed == i).collect();
-        let Some(object) = Placed::new(i, name, &meshes, scene) else { continue };
+        let Some(object) = Placed::new(i, name, &meshes, scene) else {
+            // Animations hide things by scaling them to nothing.
+            judged.maybe_unseen |= plan.object_moves(i);
+            continue;
+        };
         // An object in wrong units is also in the wrong place: one sentence, not three.
         let (standing, unseen) = match around.size(&object) {
             Some(warning) => (None, Some(warning)),
             None => (around.standing(&object), around.sight(&object)),
         };
         judged.maybe_unseen |= unseen.is_some();
-        judged.warnings.extend(standing.into_iter().chain(unseen));
+        // What moves may fly, and come into the picture later.
+        let asks = !plan.object_moves(i);
+        let said = standing.into_iter().chain(unseen);
+        judged.warnings.extend(said.map(|said| Warning { asks, ..said }));
     }
     judged
 }

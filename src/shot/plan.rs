@@ -10,7 +10,8 @@ use rayon::prelude::*;
 
 use super::camera_keys::{CameraKeys, CameraSource, PoseSource};
 use super::exposures::{self, Exposures, Scale};
-use super::file::{PlateColour, ShotFile, SupportShape};
+use super::file::{PlateColour, PlateKeys, ShotFile, SupportShape};
+use super::motion::Motion;
 use super::pictures::{expand, readable};
 use super::place;
 use super::probe_keys::{ProbeSource, Surroundings};
@@ -102,14 +103,51 @@ impl Finder {
         read.into_iter().filter_map(|photo| self.keep(key, photo)).collect()
     }
 
-    fn model(&mut self, key: &str, path: &Path, world_from_model: &DAffine3) -> Option<Model> {
+    /// A model that stands still.
+    fn model(&mut self, key: &str, path: &Path) -> Option<Model> {
         let path = self.file(key, path)?;
-        let model = scene::read(&path).and_then(|model| {
-            model.check_place(world_from_model)?;
-            Ok(model)
-        });
-        let model = self.keep(key, model)?;
-        if model.n_triangles() == 0 {
+        let model = self.keep(key, scene::read(&path))?;
+        self.usable(key, &path, model, &DAffine3::IDENTITY)
+    }
+
+    /// The model of `thing`, `object[0]`, at the plate's moment of its animation.
+    fn thing(
+        &mut self,
+        thing: &str,
+        path: &Path,
+        world_from_model: &DAffine3,
+        (motion, plate): (&Motion, &PlateKeys),
+    ) -> Option<Model> {
+        let key = format!("{thing}.file");
+        let path = self.file(&key, path)?;
+        let Some(time_s) = motion.time_s(plate) else {
+            let model = self.keep(&key, scene::read(&path))?;
+            return self.usable(&key, &path, model, world_from_model);
+        };
+        let read = scene::read_played(&path, motion.animation.as_deref());
+        let asks = if motion.animation.is_some() { "animation" } else { "file" };
+        let model = self.keep(&format!("{thing}.{asks}"), read)?;
+        if motion.is_asked_for() && model.played.is_none() {
+            let cause = "moves no node, and the shot asks for its animation; export it with one (skins \
+                         and morph targets are not read), or take animation, time and start_frame out";
+            self.problem(&key, &path, cause);
+            return None;
+        }
+        let model = self.keep(&key, model.at_time(time_s))?;
+        self.usable(&key, &path, model, world_from_model)
+    }
+
+    /// The model, if anything of it can be seen and it has room in the world.
+    fn usable(
+        &mut self,
+        key: &str,
+        path: &Path,
+        model: Model,
+        world_from_model: &DAffine3,
+    ) -> Option<Model> {
+        self.keep(key, model.check_place(world_from_model))?;
+        // What moves may be scaled to nothing for a while.
+        if model.n_triangles() == 0 && model.played.is_none() {
             let mut why = model.warnings.join("; ");
             if !why.is_empty() {
                 why = format!(" ({why})");
@@ -118,7 +156,7 @@ impl Finder {
                 "holds no triangles, so there is nothing to see{why}; export the mesh itself, or take \
                  {key} out"
             );
-            self.problem(key, &path, &cause);
+            self.problem(key, path, &cause);
             return None;
         }
         // The first of its files is the one named, and is an input already.
@@ -208,27 +246,27 @@ impl Plan {
             check_one_camera(plate, &probe_photos, &mut find);
         }
         let surroundings = match &shot.surroundings {
-            Some(Surroundings::Mesh(path)) => {
-                find.model("surroundings.mesh", path, &DAffine3::IDENTITY)
-            }
+            Some(Surroundings::Mesh(path)) => find.model("surroundings.mesh", path),
             Some(Surroundings::Box { .. }) | None => None,
         };
 
         let support = match &shot.support.shape {
-            SupportShape::Mesh(path) => find.model("support.mesh", path, &DAffine3::IDENTITY),
+            SupportShape::Mesh(path) => find.model("support.mesh", path),
             SupportShape::Plane { .. } => None,
         };
         let local = shot.local.iter().enumerate();
         let local: Vec<Model> = local
             .filter_map(|(i, local)| {
-                find.model(&format!("local[{i}].file"), &local.file, &DAffine3::IDENTITY)
+                let motion = (&local.motion, &shot.plate);
+                find.thing(&format!("local[{i}]"), &local.file, &DAffine3::IDENTITY, motion)
             })
             .collect();
         let objects = shot.objects.iter().enumerate();
         let objects: Vec<Model> = objects
             .filter_map(|(i, object)| {
                 let at = place::world_from_model(object);
-                find.model(&format!("object[{i}].file"), &object.file, &at)
+                let motion = (&object.motion, &shot.plate);
+                find.thing(&format!("object[{i}]"), &object.file, &at, motion)
             })
             .collect();
 
@@ -257,10 +295,10 @@ impl Plan {
 
     /// Puts another frame's plate in the place of this one's. False, with nothing changed, if the plate
     /// is of another size or the camera wrote other facts beside it (exposure, focal length): then
-    /// more than the plate may be another.
+    /// more than the plate may be another. What moves is put where the frame has it.
     ///
     /// # Errors
-    /// The frame cannot be read; nothing is changed.
+    /// The frame cannot be read, or something is nowhere then; nothing is changed.
     pub fn take_frame(&mut self, shot: &ShotFile) -> Result<bool, Vec<String>> {
         let mut find = Finder { problems: Vec::new(), inputs: Vec::new(), file: shot.path.clone() };
         let plate = find.photo("plate.file", &shot.plate.file, named_colour(shot));
@@ -274,13 +312,31 @@ impl Plan {
             let read = plate.redecoded(Transfer::Measured(curve.clone()));
             plate = read.map_err(|error| vec![error.to_string()])?;
         }
+        let local = moved(&self.local, shot.local.iter().map(|keys| &keys.motion), shot)?;
+        let objects = moved(&self.objects, shot.objects.iter().map(|keys| &keys.motion), shot)?;
         if let Some(input) = self.inputs.iter_mut().find(|input| **input == self.plate.path) {
             input.clone_from(&plate.path);
         }
+        local.into_iter().for_each(|(i, model)| self.local[i] = model);
+        objects.into_iter().for_each(|(i, model)| self.objects[i] = model);
         self.plate = plate;
         self.shot = shot.clone();
         self.warnings = self.find_warnings();
         Ok(true)
+    }
+
+    /// Whether frames of the sequence show something at different places.
+    pub fn moves(&self) -> bool {
+        let plate = &self.shot.plate;
+        let mut local = self.shot.local.iter().zip(&self.local);
+        local.any(|(keys, model)| is_moved(model, &keys.motion, plate))
+            || (0..self.objects.len()).any(|i| self.object_moves(i))
+    }
+
+    /// Whether frames of the sequence show an object at different places.
+    pub fn object_moves(&self, i: usize) -> bool {
+        let object = self.shot.objects.get(i).zip(self.objects.get(i));
+        object.is_some_and(|(keys, model)| is_moved(model, &keys.motion, &self.shot.plate))
     }
 
     /// Bytes a run will need at its peak, roughly: what is kept for each pixel, texel and triangle.
@@ -300,6 +356,26 @@ impl Plan {
             + PER_PROBE_PIXEL * self.probe_photos.iter().map(pixels).sum::<u64>()
             + PER_TRIANGLE * triangles
             + BASE
+    }
+
+    /// A note on an animation that a single plate does not show.
+    fn at_rest(&self, key: &str, i: usize, (motion, model): (&Motion, &Model)) -> Option<Warning> {
+        let (first, others) = model.animations.split_first()?;
+        motion.time_s(&self.shot.plate).is_none().then(|| {
+            let more = match others.len() {
+                0 => String::new(),
+                n => format!(" and {n} more"),
+            };
+            Warning::note(
+                format!("{key}[{i}].time"),
+                format!(
+                    "{} has the animation {first:?}{more}, of which a single plate shows nothing; give \
+                     time, the second to show",
+                    model.name
+                ),
+                "it stands as its file stores it",
+            )
+        })
     }
 
     fn find_warnings(&self) -> Vec<Warning> {
@@ -343,6 +419,11 @@ impl Plan {
                 Warning::new(name, sentence, "the parts named; the rest is as in the file")
             }));
         }
+        let local = self.shot.local.iter().map(|keys| &keys.motion).zip(&self.local);
+        let objects = self.shot.objects.iter().map(|keys| &keys.motion).zip(&self.objects);
+        warnings.extend(local.enumerate().filter_map(|(i, thing)| self.at_rest("local", i, thing)));
+        warnings
+            .extend(objects.enumerate().filter_map(|(i, thing)| self.at_rest("object", i, thing)));
         if self.shot.objects.is_empty() {
             warnings.push(Warning::new(
                 "object",
@@ -359,6 +440,28 @@ impl Plan {
         }
         warnings
     }
+}
+
+/// Those of the models that stand elsewhere in the frame of `shot`, with their numbers.
+fn moved<'a>(
+    models: &[Model],
+    motions: impl Iterator<Item = &'a Motion>,
+    shot: &ShotFile,
+) -> Result<Vec<(usize, Model)>, Vec<String>> {
+    let mut moved = Vec::new();
+    for (i, (model, motion)) in models.iter().zip(motions).enumerate() {
+        if let Some(time_s) = motion.time_s(&shot.plate)
+            && is_moved(model, motion, &shot.plate)
+        {
+            let named = |error| vec![format!("{}: {error}", shot.path.display())];
+            moved.push((i, model.at_time(time_s).map_err(named)?));
+        }
+    }
+    Ok(moved)
+}
+
+fn is_moved(model: &Model, motion: &Motion, plate: &PlateKeys) -> bool {
+    model.played.is_some() && motion.plays(plate)
 }
 
 /// The plate's colour space if the shot file names one.

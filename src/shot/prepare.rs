@@ -18,6 +18,8 @@ use super::shown::Shown;
 use super::support_light::{self, View};
 use super::unseen;
 use super::watch::{Stopwatch, Watch};
+use crate::camera::planar_pose::PoseScatter;
+use crate::camera::slip;
 use crate::camera::{Camera, Distortion};
 use crate::render::{Context, Method};
 use crate::report::{CameraReport, LightsReport, PoseReport, ProbeReport, Warning};
@@ -34,13 +36,53 @@ pub struct Prepared {
     pub light: Light,
     pub scene: Scene,
     pub method: Method,
-    /// Beside the plan's own.
+    /// Beside the plan's own; first those that hold for all frames.
     pub warnings: Vec<Warning>,
+    n_lasting: usize,
     /// No pixel may show some object, and a warning says so.
     pub objects_maybe_unseen: bool,
     /// What the pose was found from, and the camera that saw it.
     pub seen: Vec<Seen>,
     pub seen_by: Camera,
+    /// How the pose scatters; `None` of one from a file.
+    scatter: Option<PoseScatter>,
+}
+
+impl Prepared {
+    /// Puts what moves where another frame has it. Lens, place and light stay as they are.
+    ///
+    /// # Errors
+    /// What has no room in the world.
+    pub fn take_frame(&mut self, plan: &Plan) -> Result<(), RunError> {
+        self.scene = scene(plan)?;
+        let shown = Shown::new(&self.scene, &self.camera);
+        let standing = Standing::judge(plan, &self.scene, &self.camera, &shown);
+        self.warnings.truncate(self.n_lasting);
+        self.warnings.extend(standing.warnings);
+        self.objects_maybe_unseen = standing.maybe_unseen;
+        self.pose_report.slip_px = slip_px(plan, self.scatter.as_ref(), &self.camera);
+        Ok(())
+    }
+}
+
+/// What is to be said of where the things of one frame stand.
+struct Standing {
+    warnings: Vec<Warning>,
+    maybe_unseen: bool,
+}
+
+impl Standing {
+    fn judge(plan: &Plan, scene: &Scene, camera: &Camera, shown: &Shown) -> Self {
+        let placing = placing::judge(plan, scene, camera, &shown.local);
+        let mut warnings: Vec<Warning> = lost_triangles_warning(scene).into_iter().collect();
+        warnings.extend(unseen::warning(scene, shown));
+        warnings.extend(placing.warnings);
+        Self { warnings, maybe_unseen: placing.maybe_unseen }
+    }
+}
+
+fn scene(plan: &Plan) -> Result<Scene, RunError> {
+    place::scene(plan).map_err(|problem| one(format!("{}: {problem}", plan.shot.path.display())))
 }
 
 /// Calibrates, locates, unwraps and builds the scene.
@@ -99,8 +141,7 @@ pub fn prepare(
 
     begin("build scene and lights")?;
     let camera = plate_camera(plan, &found_lens, &found_pose);
-    let scene = place::scene(plan)
-        .map_err(|problem| one(format!("{}: {problem}", plan.shot.path.display())))?;
+    let scene = scene(plan)?;
     let shown = Shown::new(&scene, &camera);
     let setting = Setting { plan, camera: &camera, scene: &scene, local: &shown.local };
     let (light, probe_report, lights_report) = light::light(unwrapped, &setting).map_err(one)?;
@@ -111,10 +152,6 @@ pub fn prepare(
     let mut warnings = found_lens.warnings;
     warnings.extend(found_pose.warnings.iter().cloned());
     warnings.extend(light.warnings.iter().cloned());
-    warnings.extend(lost_triangles_warning(&scene));
-    warnings.extend(unseen::warning(&scene, &shown));
-    let placing = placing::judge(plan, &scene, &camera, &shown.local);
-    warnings.extend(placing.warnings);
     warnings.extend(support_light::warnings(&View {
         plate: &plan.plate.linear,
         clipped: &plan.plate.clipped,
@@ -122,7 +159,10 @@ pub fn prepare(
         shown: &shown,
         lights: &light.lights,
     }));
-    let slip_px = slip_px(plan, &found_pose, &camera);
+    let n_lasting = warnings.len();
+    let standing = Standing::judge(plan, &scene, &camera, &shown);
+    warnings.extend(standing.warnings);
+    let slip_px = slip_px(plan, found_pose.scatter.as_ref(), &camera);
     let pose_report = PoseReport { slip_px, ..found_pose.report };
     Ok(Prepared {
         camera,
@@ -134,7 +174,8 @@ pub fn prepare(
         scene,
         method,
         warnings,
-        objects_maybe_unseen: placing.maybe_unseen,
+        n_lasting,
+        objects_maybe_unseen: standing.maybe_unseen,
         seen: found_pose.seen,
         seen_by: Camera {
             width: found_lens.width,
@@ -142,6 +183,7 @@ pub fn prepare(
             lens: found_lens.lens,
             pose: found_pose.pose,
         },
+        scatter: found_pose.scatter,
     })
 }
 
@@ -185,11 +227,11 @@ pub fn method_name(method: Method) -> &'static str {
 }
 
 /// How far off the objects' foot may be seen, from pose and lens.
-fn slip_px(plan: &Plan, pose: &FoundPose, camera: &Camera) -> Option<f64> {
+fn slip_px(plan: &Plan, scatter: Option<&PoseScatter>, camera: &Camera) -> Option<f64> {
     let foot = place::foot(plan);
     let normal = place::support_plane(plan, foot + DVec3::Y * 1e-3).map_or(DVec3::Y, |(_, n)| n);
     let radius = place::object_box(plan).map_or(0.1, |[min, max]| 0.5 * (max - min).length());
-    pose.slip_px(camera, foot, normal, radius)
+    slip::predicted_px(camera, scatter?, foot, normal, radius)
 }
 
 /// The board of `[camera]`, if it has one.

@@ -10,7 +10,6 @@ use std::time::Instant;
 use super::existing;
 use super::file::{Albedo, DenoiseKeys, ModeKeys, ShotFile};
 use super::finish::{Finish, finish};
-use super::frames::frame_path;
 use super::plan::Plan;
 use super::prepare::{Prepared, method_name, prepare};
 use super::stop::StopKeys;
@@ -93,18 +92,16 @@ pub fn run_frames(
             results.push(Err(RunError::Interrupted));
             continue;
         }
-        let mut single = shot.clone();
-        single.plate.file = frame_path(&shot.plate.file, frame);
         // Another seed each frame: a fixed pattern would stand still while the picture moves.
         let seeded = context.with_seed(context.seed ^ (frame as u64).wrapping_mul(0x9e37_79b9));
         let files = OutFiles::new(out, Some(frame));
-        results.push(run_one(single, &files, options, &seeded, &mut shared, watch));
+        results.push(run_one(shot.at_frame(frame), &files, options, &seeded, &mut shared, watch));
     }
     results
 }
 
-/// What the frames of a sequence share: everything but the plate. Lens, place and light are found once,
-/// with the first frame, so that they stand still.
+/// What the frames of a sequence share: everything but the plate and the places of what moves. Lens,
+/// place and light are found once, with the first frame, so that they stand still.
 #[derive(Default)]
 struct Shared(Option<(Plan, Option<Prepared>)>);
 
@@ -151,7 +148,13 @@ fn run_one(
     }
 
     let prepared = match prepared {
-        Some(prepared) => prepared,
+        Some(prepared) => {
+            if plan.moves() {
+                stopwatch.begin("move the objects", watch);
+                prepared.take_frame(plan)?;
+            }
+            prepared
+        }
         none => none.insert(prepare(plan, &mut stopwatch, context, watch)?),
     };
     for warning in plan.warnings.iter().chain(&prepared.warnings).filter(|w| w.asks) {

@@ -26,7 +26,6 @@ use size::bench_and_rows;
 
 use super::existing::PROGRAM;
 use super::file::{DenoiseKeys, ShotFile};
-use super::frames::frame_path;
 use super::plan::Plan;
 use super::prepare::{Prepared, method_name, prepare};
 use super::run::{RunError, check_folder, refuse_to_overwrite};
@@ -76,7 +75,7 @@ pub fn chart(
     let begin = Instant::now();
     let mut notes = Vec::new();
     if let Some(frame) = shot.plate.frames.as_ref().and_then(|frames| frames.iter().next()) {
-        shot.plate.file = frame_path(&shot.plate.file, frame);
+        shot = shot.at_frame(frame);
         notes.push(format!("frame {frame} stands for the sequence"));
     }
     let mut stopwatch = Stopwatch::new();
