@@ -18,7 +18,7 @@ pub(super) const MAX_COORDINATE: f32 = (1_u64 << 40) as f32;
 /// Pad in units of half an ulp of the largest coordinate.
 ///
 /// Sum of the roundings, in units of 2⁻²⁴ · M with M the largest coordinate of ray origin plus
-/// boxes: plane and origin products 4, shear of a vertex 5, distance along the ray 4; 16 holds them all.
+/// boxes: plane and origin products 4, shear of a vertex 6, distance along the ray 4; 16 holds them all.
 const PAD: f32 = 16.0 / (1_u32 << 24) as f32;
 
 /// A ray made ready for the box test: plane p is reached at `p · reciprocal + near` (or `far`).
@@ -35,6 +35,7 @@ pub(super) struct BoxRay {
 impl BoxRay {
     /// Of a ray among boxes whose largest coordinate is `extent`; `None` if the ray has no points
     /// (NaN, no direction, or farther out than [`MAX_COORDINATE`]).
+    #[inline(always)]
     pub fn new(ray: &Ray, extent: f32) -> Option<Self> {
         let reach = ray.origin.abs().max_element();
         let length = ray.direction.length_squared();
@@ -142,7 +143,7 @@ mod avx2 {
             // SAFETY: AVX2 and FMA are there (see the type); every pointer is that of a whole
             // array of eight f32, and loadu/storeu ask for no alignment.
             let mask = unsafe {
-                let plane = |row: usize| _mm256_loadu_ps(node.planes[row].as_ptr());
+                let plane = |row: usize| _mm256_loadu_ps(node.planes.as_ptr().add(row).cast());
                 let reach = |row: usize, axis: usize, offset: f32| {
                     let slope = _mm256_set1_ps(ray.reciprocal[axis]);
                     _mm256_fmadd_ps(plane(row), slope, _mm256_set1_ps(offset))
@@ -168,13 +169,14 @@ mod avx2 {
             // SAFETY: as in `boxes`, arrays of four f32. No FMA: the signs must be those of
             // `triangle::intersect`.
             unsafe {
-                let origin = ray.origin.map(|o| _mm_set1_ps(o));
+                let [ox, oy, oz] = ray.origin.map(|o| _mm_set1_ps(o));
                 let [sx, sy, sz] = ray.shear.map(|s| _mm_set1_ps(s));
                 let sheared = |vertex: usize| {
-                    let v = &block.vertices[vertex];
-                    let x = _mm_sub_ps(_mm_loadu_ps(v[kx].as_ptr()), origin[kx]);
-                    let y = _mm_sub_ps(_mm_loadu_ps(v[ky].as_ptr()), origin[ky]);
-                    let z = _mm_sub_ps(_mm_loadu_ps(v[kz].as_ptr()), origin[kz]);
+                    let v = block.vertices[vertex].as_ptr();
+                    let along = |axis: usize, origin: __m128| {
+                        _mm_sub_ps(_mm_loadu_ps(v.add(axis).cast()), origin)
+                    };
+                    let (x, y, z) = (along(kx, ox), along(ky, oy), along(kz, oz));
                     [
                         _mm_sub_ps(x, _mm_mul_ps(sx, z)),
                         _mm_sub_ps(y, _mm_mul_ps(sy, z)),

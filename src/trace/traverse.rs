@@ -3,9 +3,11 @@
 //! Children are visited nearest first. Of two hits at the same distance the triangle with the lower
 //! number counts, so that the answer does not depend on the way through the tree.
 
+use std::mem::MaybeUninit;
+
 use super::Ray;
 use super::kernel::{BoxRay, Kernel, Scalar};
-use super::triangle::{LANES, Shear};
+use super::triangle::{self, LANES, Shear};
 use super::wide::{LEAF, Tree, WIDTH};
 
 /// References that fit on the machine's stack; deeper trees (none was met in practice) allocate.
@@ -53,13 +55,12 @@ pub(super) fn closest(
     simd: Simd,
     filter: impl Filter,
 ) -> Option<Found> {
-    let boxes = BoxRay::new(ray, extent)?;
-    with_stack(tree, |stack| match simd {
-        Simd::Scalar => closest_loop::<Scalar>(tree, ray, &boxes, stack, &filter),
+    match simd {
+        Simd::Scalar => closest_walk::<Scalar>(tree, ray, extent, &filter),
         #[cfg(target_arch = "x86_64")]
         // SAFETY: this value exists only after AVX2 and FMA were detected.
-        Simd::Avx2 => unsafe { closest_avx2(tree, ray, &boxes, stack, &filter) },
-    })
+        Simd::Avx2 => unsafe { closest_avx2(tree, ray, extent, &filter) },
+    }
 }
 
 /// Whether anything that `filter` lets count lies on the ray.
@@ -70,46 +71,79 @@ pub(super) fn occluded(
     simd: Simd,
     filter: impl Filter,
 ) -> bool {
-    let Some(boxes) = BoxRay::new(ray, extent) else { return false };
-    with_stack(tree, |stack| match simd {
-        Simd::Scalar => occluded_loop::<Scalar>(tree, ray, &boxes, stack, &filter),
+    match simd {
+        Simd::Scalar => occluded_walk::<Scalar>(tree, ray, extent, &filter),
         #[cfg(target_arch = "x86_64")]
         // SAFETY: this value exists only after AVX2 and FMA were detected.
-        Simd::Avx2 => unsafe { occluded_avx2(tree, ray, &boxes, stack, &filter) },
-    })
-}
-
-#[inline(always)]
-fn with_stack<R>(tree: &Tree, walk: impl FnOnce(&mut [u64]) -> R) -> R {
-    if tree.stack_need <= STACK {
-        walk(&mut [0; STACK])
-    } else {
-        walk(&mut vec![0; tree.stack_need])
+        Simd::Avx2 => unsafe { occluded_avx2(tree, ray, extent, &filter) },
     }
 }
 
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2,fma")]
-fn closest_avx2(
-    tree: &Tree,
-    ray: &Ray,
-    boxes: &BoxRay,
-    stack: &mut [u64],
-    filter: &impl Filter,
-) -> Option<Found> {
-    closest_loop::<super::kernel::Avx2>(tree, ray, boxes, stack, filter)
+fn closest_avx2(tree: &Tree, ray: &Ray, extent: f32, filter: &impl Filter) -> Option<Found> {
+    closest_walk::<super::kernel::Avx2>(tree, ray, extent, filter)
 }
 
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2,fma")]
-fn occluded_avx2(
-    tree: &Tree,
-    ray: &Ray,
-    boxes: &BoxRay,
-    stack: &mut [u64],
-    filter: &impl Filter,
-) -> bool {
-    occluded_loop::<super::kernel::Avx2>(tree, ray, boxes, stack, filter)
+fn occluded_avx2(tree: &Tree, ray: &Ray, extent: f32, filter: &impl Filter) -> bool {
+    occluded_walk::<super::kernel::Avx2>(tree, ray, extent, filter)
+}
+
+/// References that wait, the last one pushed is the next. Never holds more than the tree's
+/// `stack_need`, which is what its room is checked against once, before the walk.
+struct Stack<'a> {
+    waiting: &'a mut [MaybeUninit<u64>],
+    len: usize,
+}
+
+impl<'a> Stack<'a> {
+    /// In `small` if it is large enough for every walk through `tree`, else in `large`.
+    #[inline(always)]
+    fn new(
+        tree: &Tree,
+        small: &'a mut [MaybeUninit<u64>],
+        large: &'a mut Vec<MaybeUninit<u64>>,
+    ) -> Self {
+        if tree.stack_need <= small.len() {
+            return Self { waiting: small, len: 0 };
+        }
+        large.resize(tree.stack_need, MaybeUninit::uninit());
+        Self { waiting: large, len: 0 }
+    }
+
+    #[inline(always)]
+    fn push(&mut self, key: u64) {
+        debug_assert!(self.len < self.waiting.len());
+        // SAFETY: a walk has at most `stack_need` references waiting (see `wide::stack_need`).
+        unsafe { self.waiting.get_unchecked_mut(self.len).write(key) };
+        self.len += 1;
+    }
+
+    #[inline(always)]
+    fn pop(&mut self) -> Option<u64> {
+        self.len = self.len.checked_sub(1)?;
+        // SAFETY: every place below the old `len` was written by `push`.
+        Some(unsafe { self.waiting.get_unchecked(self.len).assume_init() })
+    }
+
+    /// Sorts the last `n` descending: the nearest comes out first.
+    #[inline(always)]
+    fn sort_last(&mut self, n: usize) {
+        let first = self.len - n;
+        // SAFETY: they were written by `push`.
+        let last = unsafe { self.waiting.get_unchecked_mut(first..self.len).assume_init_mut() };
+        for i in 1..n {
+            let key = last[i];
+            let mut place = i;
+            while place > 0 && last[place - 1] < key {
+                last[place] = last[place - 1];
+                place -= 1;
+            }
+            last[place] = key;
+        }
+    }
 }
 
 /// Distance in the upper half, so that references sort by it (distances are not negative).
@@ -119,43 +153,53 @@ fn waiting(enter: f32, child: u32) -> u64 {
 }
 
 #[inline(always)]
-fn closest_loop<K: Kernel>(
+fn closest_walk<K: Kernel>(
     tree: &Tree,
     ray: &Ray,
-    boxes: &BoxRay,
-    stack: &mut [u64],
+    extent: f32,
     filter: &impl Filter,
 ) -> Option<Found> {
-    let shear = Shear::new(ray);
+    let boxes = &BoxRay::new(ray, extent)?;
+    let shear = &Shear::new(ray);
+    let (mut small, mut large) = ([MaybeUninit::uninit(); STACK], Vec::new());
+    let mut stack = Stack::new(tree, &mut small, &mut large);
     let mut best: Option<Found> = None;
     let mut t_max = ray.t_max;
     let mut child = 0;
-    let mut n = 0;
     if tree.nodes.is_empty() {
         return None;
     }
-    loop {
+    'walk: loop {
         if child & LEAF == 0 {
             let node = &tree.nodes[child as usize];
             let (mut mask, enter) = K::boxes(node, boxes, t_max);
-            // Push the children that are met, farthest first
-            let base = n;
-            while mask != 0 {
+            if mask != 0 {
                 let i = mask.trailing_zeros() as usize % WIDTH;
                 mask &= mask - 1;
-                let key = waiting(enter[i], node.children[i]);
-                let mut place = n;
-                while place > base && stack[place - 1] < key {
-                    stack[place] = stack[place - 1];
-                    place -= 1;
+                if mask == 0 {
+                    child = node.children[i];
+                    continue;
                 }
-                stack[place] = key;
-                n += 1;
+                let mut n = 1;
+                let mut nearest = waiting(enter[i], node.children[i]);
+                while mask != 0 {
+                    let i = mask.trailing_zeros() as usize % WIDTH;
+                    mask &= mask - 1;
+                    let key = waiting(enter[i], node.children[i]);
+                    stack.push(nearest.max(key));
+                    nearest = nearest.min(key);
+                    n += 1;
+                }
+                if n > 2 {
+                    stack.sort_last(n - 1);
+                }
+                child = nearest as u32;
+                continue;
             }
         } else {
             let index = child & !LEAF;
             let block = &tree.blocks[index as usize];
-            let hits = K::triangles(block, &shear, boxes.t_min, t_max);
+            let hits = K::triangles(block, shear, boxes.t_min, t_max);
             let mut mask = hits.mask;
             while mask != 0 {
                 let lane = mask.trailing_zeros() as usize % LANES;
@@ -174,47 +218,48 @@ fn closest_loop<K: Kernel>(
         }
         // Take the nearest that waits, unless a hit lies before it
         loop {
-            if n == 0 {
-                return best;
-            }
-            n -= 1;
-            if f32::from_bits((stack[n] >> 32) as u32) <= t_max {
-                child = stack[n] as u32;
+            let Some(key) = stack.pop() else { break 'walk };
+            if f32::from_bits((key >> 32) as u32) <= t_max {
+                child = key as u32;
                 break;
             }
         }
     }
+    let mut found = best?;
+    let triangle = tree.blocks[found.block as usize].triangle(found.lane as usize);
+    found.at = triangle::refine(ray, &triangle, found.at);
+    Some(found)
 }
 
 #[inline(always)]
-fn occluded_loop<K: Kernel>(
-    tree: &Tree,
-    ray: &Ray,
-    boxes: &BoxRay,
-    stack: &mut [u64],
-    filter: &impl Filter,
-) -> bool {
-    let shear = Shear::new(ray);
+fn occluded_walk<K: Kernel>(tree: &Tree, ray: &Ray, extent: f32, filter: &impl Filter) -> bool {
+    let Some(boxes) = &BoxRay::new(ray, extent) else { return false };
+    let shear = &Shear::new(ray);
+    let (mut small, mut large) = ([MaybeUninit::uninit(); STACK], Vec::new());
+    let mut stack = Stack::new(tree, &mut small, &mut large);
     if tree.nodes.is_empty() {
         return false;
     }
-    stack[0] = 0;
-    let mut n = 1;
-    while n > 0 {
-        n -= 1;
-        let child = stack[n] as u32;
+    let mut child = 0;
+    loop {
         if child & LEAF == 0 {
             let node = &tree.nodes[child as usize];
             let (mut mask, _) = K::boxes(node, boxes, ray.t_max);
-            while mask != 0 {
-                let i = mask.trailing_zeros() as usize % WIDTH;
-                mask &= mask - 1;
-                stack[n] = u64::from(node.children[i]);
-                n += 1;
+            if mask != 0 {
+                loop {
+                    let i = mask.trailing_zeros() as usize % WIDTH;
+                    mask &= mask - 1;
+                    child = node.children[i];
+                    if mask == 0 {
+                        break;
+                    }
+                    stack.push(u64::from(child));
+                }
+                continue;
             }
         } else {
             let block = &tree.blocks[(child & !LEAF) as usize];
-            let hits = K::triangles(block, &shear, boxes.t_min, ray.t_max);
+            let hits = K::triangles(block, shear, boxes.t_min, ray.t_max);
             for lane in (0..LANES).filter(|lane| hits.mask >> lane & 1 == 1) {
                 if hits.t[lane] < ray.t_max
                     && filter(block.primitives[lane], hits.u[lane], hits.v[lane])
@@ -223,6 +268,7 @@ fn occluded_loop<K: Kernel>(
                 }
             }
         }
+        let Some(key) = stack.pop() else { return false };
+        child = key as u32;
     }
-    false
 }

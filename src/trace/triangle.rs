@@ -7,7 +7,7 @@
 //! opposite sign, hence no ray passes between them. No fused multiply-add here: it would round the
 //! two sides of an edge differently.
 
-use glam::{DVec3, Vec3};
+use glam::Vec3;
 
 use super::Ray;
 
@@ -17,6 +17,7 @@ pub(super) const LANES: usize = 4;
 /// A ray made ready for the triangle test.
 #[derive(Clone, Copy)]
 pub(super) struct Shear {
+    /// Along `axes`.
     pub origin: [f32; 3],
     /// The axes: `axes[2]` is the one along which the direction is longest.
     pub axes: [usize; 3],
@@ -26,21 +27,19 @@ pub(super) struct Shear {
 
 impl Shear {
     /// Of a ray with finite origin and a finite direction that is not zero.
+    #[inline(always)]
     pub fn new(ray: &Ray) -> Self {
         let d = ray.direction.to_array();
         let a = ray.direction.abs();
-        let z = if a.x >= a.y && a.x >= a.z {
-            0
-        } else if a.y >= a.z {
-            1
-        } else {
-            2
-        };
-        let (x, y) = ((z + 1) % 3, (z + 2) % 3);
+        // By arithmetic: of rays in all directions no branch could be foretold.
+        let z = if a.z > a.x.max(a.y) { 2 } else { usize::from(a.y > a.x) };
+        let axes = [[1, 2, 0], [2, 0, 1], [0, 1, 2]][z];
+        let [x, y, z] = axes;
+        let reciprocal = 1.0 / d[z];
         Self {
-            origin: ray.origin.to_array(),
-            axes: [x, y, z],
-            shear: [d[x] / d[z], d[y] / d[z], 1.0 / d[z]],
+            origin: axes.map(|axis| ray.origin[axis]),
+            axes,
+            shear: [d[x] * reciprocal, d[y] * reciprocal, reciprocal],
         }
     }
 }
@@ -92,10 +91,11 @@ impl LaneHits {
 #[inline(always)]
 pub(super) fn intersect(ray: &Shear, triangle: [[f32; 3]; 3]) -> Option<[f32; 3]> {
     let [kx, ky, kz] = ray.axes;
+    let [ox, oy, oz] = ray.origin;
     let [sx, sy, sz] = ray.shear;
     let sheared = triangle.map(|p| {
-        let z = p[kz] - ray.origin[kz];
-        [(p[kx] - ray.origin[kx]) - sx * z, (p[ky] - ray.origin[ky]) - sy * z, sz * z]
+        let z = p[kz] - oz;
+        [(p[kx] - ox) - sx * z, (p[ky] - oy) - sy * z, sz * z]
     });
     let [a, b, c] = sheared;
     let u = c[0] * b[1] - c[1] * b[0];
@@ -134,26 +134,25 @@ pub(super) fn intersect_exact(sheared: &[[f32; 3]; 3]) -> Option<[f32; 3]> {
 ///
 /// On a triangle of 1000 m a weight in f32 is known to 0.1 mm only, which is seen in shadows and
 /// reflections close by. Where the ray lies in the triangle's plane `coarse` stays.
+#[inline(always)]
 pub(super) fn refine(ray: &Ray, triangle: &[Vec3; 3], coarse: [f32; 3]) -> [f32; 3] {
     let [a, b, c] = triangle.map(Vec3::as_dvec3);
-    let (origin, direction) = (ray.origin.as_dvec3(), ray.direction.as_dvec3());
-    let (ab, ac) = (b - a, c - a);
-    let normal = ab.cross(ac);
-    let slope = normal.dot(direction);
-    let t = normal.dot(a - origin) / slope;
+    let direction = ray.direction.as_dvec3();
+    let (ab, ac, from_a) = (b - a, c - a, ray.origin.as_dvec3() - a);
+    // Cramer's rule for origin + t · direction = a + u · ab + v · ac (Möller, Trumbore 1997)
+    let (p, q) = (direction.cross(ac), from_a.cross(ab));
+    let inverse = 1.0 / ab.dot(p);
+    let t = ac.dot(q) * inverse;
     // Near grazing the plane's t runs away from the triangle; the coarse t never leaves it.
-    let reach = f64::from(ab.abs().max(ac.abs()).max_element() as f32) * 1e-5
-        + (t.abs() + origin.abs().max_element()) * 1e-6;
+    let reach = 1e-5 * ab.abs().max(ac.abs()).max_element()
+        + 1e-6 * (t.abs() + f64::from(ray.origin.abs().max_element()));
     let agrees = (t - f64::from(coarse[0])).abs() <= reach;
     if !agrees {
         return coarse;
     }
-    let p: DVec3 = origin + direction * t - a;
-    let inverse = 1.0 / normal.length_squared();
-    let u = normal.dot(p.cross(ac)) * inverse;
-    let v = normal.dot(ab.cross(p)) * inverse;
-    let u = u.clamp(0.0, 1.0);
-    [t as f32, u as f32, v.clamp(0.0, 1.0 - u) as f32]
+    let u = (from_a.dot(p) * inverse).clamp(0.0, 1.0);
+    let v = (direction.dot(q) * inverse).clamp(0.0, 1.0 - u);
+    [t as f32, u as f32, v as f32]
 }
 
 #[cfg(test)]
