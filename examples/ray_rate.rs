@@ -1,6 +1,6 @@
 //! Rays a second of the ray kernel on a mesh and a file of rays, to be set beside other kernels.
 //!
-//! `cargo run --release --example ray_rate -- MESH.plm RAYS.plr [--threads N] [--reps N]
+//! `cargo run --release --example ray_rate -- MESH.plm RAYS.plr [--threads N] [--reps N] [--portable]
 //! [--hits OUT.plh]`. Prints one line of JSON: rays a second by the clock and by CPU time, best of
 //! the repetitions, and what the build took. The formats (little endian):
 //!
@@ -30,6 +30,9 @@ struct Args {
     threads: usize,
     #[arg(long, default_value_t = 5)]
     reps: usize,
+    /// Without AVX2.
+    #[arg(long)]
+    portable: bool,
     /// Write what every ray hit.
     #[arg(long)]
     hits: Option<String>,
@@ -40,6 +43,9 @@ const CHUNK: usize = 4096;
 
 fn main() -> Result<(), Box<dyn Error>> {
     let args = Args::parse();
+    if args.portable {
+        platelight::trace::portable_only();
+    }
     let mesh = read_mesh(&args.mesh)?;
     let (rays, any) = read_rays(&args.rays)?;
     let pool = rayon::ThreadPoolBuilder::new().num_threads(args.threads).build()?;

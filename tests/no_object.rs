@@ -91,11 +91,14 @@ fn every_changed_pixel_lies_in_the_influence_layer() {
 }
 
 #[test]
-fn same_input_and_seed_give_the_same_bytes_on_any_number_of_threads() {
+fn same_input_and_seed_give_the_same_bytes_on_any_number_of_threads_and_without_avx2() {
     let folder = tempfile::tempdir().expect("a folder");
     let cube = write_cube(folder.path(), 0.15);
     let shot = write_shot(folder.path(), Plate::ExrHalf, &cube);
-    let bytes = [1, 3].map(|threads| {
+    let bytes = [(1, false), (3, false), (2, true)].map(|(threads, portable)| {
+        if portable {
+            platelight::trace::portable_only();
+        }
         let out = folder.path().join(format!("out{threads}"));
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a pool");
         pool.install(|| run_shot(&shot, &out, 7));
@@ -103,4 +106,5 @@ fn same_input_and_seed_give_the_same_bytes_on_any_number_of_threads() {
             .map(|name| std::fs::read(out.join(name)).expect("a result"))
     });
     assert!(bytes[0] == bytes[1], "one and three threads differ");
+    assert!(bytes[0] == bytes[2], "with and without AVX2 differ");
 }

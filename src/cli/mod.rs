@@ -34,6 +34,7 @@ use serde::Serialize;
 use crate::render::Context;
 use crate::report::Warning;
 use crate::shot::ShotFile;
+use crate::trace;
 
 /// Put CG objects into photographs, and be told how right the result is.
 #[derive(Debug, Parser)]
@@ -63,6 +64,9 @@ pub struct Global {
     /// Seed of all random numbers: same input and seed, same bytes
     #[arg(long, global = true, value_name = "N", default_value_t = 0, help_heading = "Everywhere")]
     pub seed: u64,
+    /// Trace rays without AVX2: the same picture, more slowly
+    #[arg(long, global = true, help_heading = "Everywhere")]
+    pub portable: bool,
     /// Print the result as JSON on stdout
     #[arg(long, global = true, help_heading = "Everywhere")]
     pub json: bool,
@@ -200,6 +204,9 @@ pub fn main() -> ExitCode {
     let Cli { global, command } = Cli::parse();
     if let Err(error) = interrupt::cancel_on_signals(&global.interrupted) {
         global.warn(&format!("Ctrl-C may leave half-written files: {error}"));
+    }
+    if global.portable {
+        trace::portable_only();
     }
     let outcome = in_pool(&global, || dispatch(&command, &global));
     match outcome {

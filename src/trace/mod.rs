@@ -14,6 +14,7 @@ mod triangle;
 mod wide;
 
 pub use accel::Accel;
+pub use traverse::portable_only;
 
 use glam::Vec3;
 

@@ -4,6 +4,7 @@
 //! number counts, so that the answer does not depend on the way through the tree.
 
 use std::mem::MaybeUninit;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use super::Ray;
 use super::kernel::{BoxRay, Kernel, Scalar};
@@ -32,11 +33,25 @@ pub(super) enum Simd {
     Avx2,
 }
 
+/// See [`portable_only`].
+static PORTABLE_ONLY: AtomicBool = AtomicBool::new(false);
+
+/// Structures that are built from now on are walked without AVX2, as on a processor that lacks it.
+///
+/// The same hits, to the last bit, take longer to find: this is how to check that, and what to try
+/// where a processor claims more than it can.
+pub fn portable_only() {
+    PORTABLE_ONLY.store(true, Ordering::Relaxed);
+}
+
 impl Simd {
-    /// The best this processor has.
+    /// The best this processor has and [`portable_only`] allows.
     pub fn detect() -> Self {
         #[cfg(target_arch = "x86_64")]
-        if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
+        if !PORTABLE_ONLY.load(Ordering::Relaxed)
+            && is_x86_feature_detected!("avx2")
+            && is_x86_feature_detected!("fma")
+        {
             return Self::Avx2;
         }
         Self::Scalar
