@@ -19,9 +19,10 @@ use super::buffers::{Buffers, Container, MAX_ELEMENTS, named_file, split};
 use super::files::read_file;
 use super::gltf_animation::{self, mark_channels_without_node};
 use super::gltf_extensions::{may_be_required, names, remarks};
+use super::gltf_instances::{self, INSTANCING};
 use super::gltf_material::MaterialReader;
 use super::gltf_place;
-use super::hierarchy::{Hierarchy, Local, Node, Part};
+use super::hierarchy::{Hierarchy, Local, Moves, Node, Part};
 use super::model::Played;
 use super::{Model, ModelMesh, SceneError};
 
@@ -155,10 +156,15 @@ impl Reader<'_> {
                 return Err(self.broken(format!("nodes[{}]", node.index()), problem));
             }
             let (number, rest) = (node.index(), local_transform(&node));
-            self.hierarchy.nodes.push(Node { number, parent, rest, moves: Default::default() });
+            self.hierarchy.nodes.push(Node { number, parent, rest, moves: Moves::default() });
             let own = self.hierarchy.nodes.len() - 1;
             if let Some(mesh) = node.mesh() {
+                let first = self.hierarchy.parts.len();
                 self.mesh(&node, &mesh, own)?;
+                let places = gltf_instances::places(self.path, document, &node, self.buffers)?;
+                if let Some(places) = places {
+                    self.repeat(first, own, &places)?;
+                }
             }
             let first = pending.len();
             pending.extend(node.children().map(|child| (child, Some(own))));
@@ -173,6 +179,26 @@ impl Reader<'_> {
         self.model.warnings.append(&mut read.warnings);
         for node in &mut self.hierarchy.nodes {
             node.moves = read.moves.remove(&node.number).unwrap_or_default();
+        }
+        Ok(())
+    }
+
+    /// Puts the parts from `first` on at these places in their node, once for each.
+    fn repeat(&mut self, first: usize, node: usize, places: &[Local]) -> Result<(), SceneError> {
+        let parts = self.hierarchy.parts.split_off(first);
+        let Node { number, .. } = self.hierarchy.nodes[node];
+        let what = format!("nodes[{number}].extensions.{INSTANCING}");
+        let size = size_of::<Node>() + parts.iter().map(Part::n_bytes).sum::<usize>();
+        self.buffers.budget.take(places.len(), size, &what)?;
+        // The first is the one that was counted when it was read.
+        let n: usize =
+            parts.iter().map(|part| part.mesh.positions.len() + part.mesh.triangles.len()).sum();
+        self.count_vertices(n.saturating_mul(places.len().saturating_sub(1)), &what)?;
+        for &rest in places {
+            let moves = Moves::default();
+            self.hierarchy.nodes.push(Node { number, parent: Some(node), rest, moves });
+            let own = self.hierarchy.nodes.len() - 1;
+            self.hierarchy.parts.extend(parts.iter().map(|p| Part { node: own, ..p.clone() }));
         }
         Ok(())
     }
@@ -321,7 +347,7 @@ impl Reader<'_> {
 
     /// Counts what a node makes, so that many nodes cannot make a small file fill the memory.
     fn count_vertices(&mut self, n: usize, place: &str) -> Result<(), SceneError> {
-        self.n_vertices += n;
+        self.n_vertices = self.n_vertices.saturating_add(n);
         if self.n_vertices <= MAX_ELEMENTS {
             return Ok(());
         }

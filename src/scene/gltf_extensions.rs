@@ -3,7 +3,8 @@
 use gltf::json::Value;
 
 /// Extensions that are read and meant.
-pub const SUPPORTED: [&str; 9] = [
+pub const SUPPORTED: [&str; 10] = [
+    "EXT_mesh_gpu_instancing",
     "KHR_materials_clearcoat",
     "KHR_materials_emissive_strength",
     "KHR_materials_ior",
@@ -19,8 +20,7 @@ pub const SUPPORTED: [&str; 9] = [
 const TOLD_ELSEWHERE: &str = "KHR_materials_unlit";
 
 /// Refused if required, and what is lost where a file only uses them.
-const LOST: [(&str, &str); 18] = [
-    ("EXT_mesh_gpu_instancing", "of many instances only one is seen, at its node's own place"),
+const LOST: [(&str, &str); 17] = [
     ("EXT_meshopt_compression", "the uncompressed copy is read, if there is one"),
     ("EXT_texture_avif", "pictures that are only AVIF are left out"),
     ("EXT_texture_webp", "pictures that are only WebP are left out"),

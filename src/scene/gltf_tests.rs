@@ -23,7 +23,7 @@ pub(super) fn base64(bytes: &[u8]) -> String {
 }
 
 /// Reads a document made of a body and one buffer.
-fn read_with(body: &str, buffer: &[u8]) -> Result<Model, SceneError> {
+pub(super) fn read_with(body: &str, buffer: &[u8]) -> Result<Model, SceneError> {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("made.gltf");
     let json = format!(
@@ -47,7 +47,7 @@ fn triangle(primitive: &str, accessors: &str, views: &str, more: &str) -> String
     )
 }
 
-const CORNERS: [f32; 9] = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0];
+pub(super) const CORNERS: [f32; 9] = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0];
 const POSITIONS: &str = r#"{"bufferView":0,"componentType":5126,"count":3,"type":"VEC3"}"#;
 const VIEW: &str = r#"{"buffer":0,"byteLength":36}"#;
 

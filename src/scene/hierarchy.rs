@@ -168,6 +168,20 @@ impl Hierarchy {
 }
 
 impl Part {
+    /// Memory it takes, bytes.
+    pub fn n_bytes(&self) -> usize {
+        let Self { place, mesh, .. } = self;
+        size_of::<Self>()
+            + place.len()
+            + size_of_val(&mesh.positions[..])
+            + size_of_val(&mesh.normals[..])
+            + size_of_val(&mesh.uvs[..])
+            + size_of_val(&mesh.second_uvs[..])
+            + size_of_val(&mesh.tangents[..])
+            + size_of_val(&mesh.colours[..])
+            + size_of_val(&mesh.triangles[..])
+    }
+
     /// Corners of the box of what can be used of it; `None` of nothing.
     fn box_corners(&self) -> Option<[DVec3; 8]> {
         let corners = self.mesh.triangles.iter().flatten();

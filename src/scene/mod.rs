@@ -18,6 +18,7 @@ mod gltf_animation;
 #[cfg(test)]
 mod gltf_animation_tests;
 pub mod gltf_extensions;
+mod gltf_instances;
 mod gltf_layers;
 mod gltf_material;
 mod gltf_place;
