@@ -147,7 +147,7 @@ impl Environment {
 
     /// Irradiance of an unoccluded plane with unit `normal` (world axes).
     ///
-    /// Closed form for every texel above the plane, halved along its horizon. Rows go in parallel
+    /// Closed form for every texel above the plane, [`Patch::cosine_integral`] along its horizon. Rows go in parallel
     /// and are summed in order.
     pub fn irradiance(&self, normal: DVec3) -> DVec3 {
         let n = self.map_from_world.as_dmat3() * normal;
@@ -184,7 +184,7 @@ impl Environment {
             } else if narrow && elevation_sine < -1.1 * radius - 1e-3 {
                 0.0
             } else {
-                self.patch(column, row).cosine_integral(n, 0)
+                self.patch(column, row).cosine_integral(n)
             };
         }
         sum

@@ -6,6 +6,7 @@
 //! gives ([`fit`](super::fit)). Where the other half does not confirm that a pixel came nearer to the
 //! truth, it goes back toward its samples (R8.3).
 
+use glam::{DVec4, Vec4};
 use rayon::prelude::*;
 
 use super::fit::fit_halves;
@@ -179,27 +180,45 @@ fn near(
 /// Mean over up to (2 `reach` + 1)² pixels of the same group: over those of a row, and over those of
 /// the rows' own sums. Group 0 gets 0.
 fn smooth(picture: &Image<Rgb>, groups: &Image<u32>, reach: usize) -> Image<Rgb> {
-    let (width, height) = (groups.width(), groups.height());
-    let around = |at: usize, size: usize| at.saturating_sub(reach)..(at + reach + 1).min(size);
-    let rows: Vec<(Rgb, f32)> = (0..width * height)
-        .into_par_iter()
-        .map(|k| {
-            let (x, y) = (k % width, k / width);
-            let same = around(x, width).filter(|&i| groups[(i, y)] == groups[(x, y)]);
-            same.fold((Rgb::ZERO, 0.0), |(sum, n), i| (sum + picture[(i, y)], n + 1.0))
-        })
-        .collect();
-    image(width, height, |(x, y)| {
-        if groups[(x, y)] == 0 {
-            return Rgb::ZERO;
+    let one = picture.map(|value| value.extend(1.0));
+    let rows = transposed(&row_sums(&one, groups, reach));
+    let sums = transposed(&row_sums(&rows, &transposed(groups), reach));
+    sums.map(|sum| sum.truncate() / sum.w.max(1.0))
+}
+
+/// Sum over up to 2 `reach` + 1 pixels of a row that are of the same group; 0 for group 0.
+fn row_sums(picture: &Image<Vec4>, groups: &Image<u32>, reach: usize) -> Image<Vec4> {
+    let width = picture.width();
+    let mut out = Image::filled(width, picture.height(), Vec4::ZERO);
+    let rows = out.pixels_mut().par_chunks_mut(width.max(1)).enumerate();
+    rows.for_each(|(y, out)| {
+        let (values, groups) = (picture.row(y), groups.row(y));
+        let mut present: Vec<u32> = groups.iter().copied().filter(|&group| group != 0).collect();
+        present.sort_unstable();
+        present.dedup();
+        // Differences of sums from the left end, in f64: in f32 the wide ones would lose digits
+        let mut up_to = Vec::with_capacity(width + 1);
+        for group in present {
+            up_to.clear();
+            up_to.push(DVec4::ZERO);
+            let mut sum = DVec4::ZERO;
+            for (value, &of) in values.iter().zip(groups) {
+                if of == group {
+                    sum += value.as_dvec4();
+                }
+                up_to.push(sum);
+            }
+            for x in (0..width).filter(|&x| groups[x] == group) {
+                let (from, to) = (x.saturating_sub(reach), (x + reach + 1).min(width));
+                out[x] = (up_to[to] - up_to[from]).as_vec4();
+            }
         }
-        let same = around(y, height).filter(|&j| groups[(x, j)] == groups[(x, y)]);
-        let (sum, n) = same.fold((Rgb::ZERO, 0.0), |(sum, n), j| {
-            let (of_row, n_row) = rows[j * width + x];
-            (sum + of_row, n + n_row)
-        });
-        sum / n
-    })
+    });
+    out
+}
+
+fn transposed<T: Copy>(image: &Image<T>) -> Image<T> {
+    Image::from_fn(image.height(), image.width(), |x, y| image[(y, x)])
 }
 
 /// The picture of `f`, by all threads.
