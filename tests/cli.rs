@@ -93,6 +93,13 @@ fn a_ball_in_a_cut_out_is_unwrapped_once_its_place_in_the_frame_is_said() {
     let json: serde_json::Value = serde_json::from_slice(&output.stdout).expect("JSON");
     let inliers = json["ball"]["inliers"].as_f64().expect("a share");
     assert!(inliers > 0.8, "the rim fits a cone through this part of the lens: {json}");
+    // A place that is none in this frame
+    for outside in ["-10,661,3", "2700,661,3", "1260,661,1"] {
+        let output = platelight(&[&arguments[..], &["--crop", outside]].concat());
+        let said = stderr(&output);
+        assert_eq!(output.status.code(), Some(2), "{outside}: {said}");
+        assert!(said.contains("--crop") && said.contains("1080 × 720 px"), "{outside}: {said}");
+    }
 }
 
 #[test]

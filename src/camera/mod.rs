@@ -51,7 +51,17 @@ impl Camera {
         inside(pixel.x, self.width) && inside(pixel.y, self.height)
     }
 
-    /// The camera of a cut-out of `scale` × this frame whose pixel (0, 0) lies at (`x`, `y`) there.
+    /// Whether a picture of `width` × `height` px can be a cut-out of `scale` × this frame whose pixel
+    /// (0, 0) is (`x`, `y`) of that larger frame: to a pixel of either, which rounded numbers may miss.
+    pub fn holds_cut_out(&self, x: f64, y: f64, scale: f64, width: usize, height: usize) -> bool {
+        let slack = scale.max(1.0);
+        let inside = |at: f64, part: usize, whole: usize| {
+            at >= -slack && at + part as f64 <= scale * whole as f64 + slack
+        };
+        inside(x, width, self.width) && inside(y, height, self.height)
+    }
+
+    /// The camera of a cut-out of `scale` × this frame whose pixel (0, 0) is (`x`, `y`) there.
     pub fn cropped(&self, x: f64, y: f64, scale: f64, width: usize, height: usize) -> Self {
         let (lens, pose) = (self.lens.cropped(x, y, scale), self.pose.clone());
         Self { width, height, lens, pose }
@@ -71,6 +81,27 @@ mod tests {
         }
         for pixel in [(-0.6, 0.0), (3.6, 0.0), (0.0, 2.6), (f64::NAN, 0.0)] {
             assert!(!camera.shows(pixel.into()), "{pixel:?}");
+        }
+    }
+
+    #[test]
+    fn a_cut_out_lies_in_its_frame() {
+        let lens = Lens::pinhole(400.0, 400, 300);
+        let camera = Camera { width: 400, height: 300, lens, pose: Pose::identity() };
+        let whole = (0.0, 0.0, 1.0, 400, 300);
+        for (x, y, scale, width, height) in
+            [whole, (300.0, 150.0, 3.0, 900, 750), (-0.3, 0.0, 0.5, 200, 150)]
+        {
+            assert!(camera.holds_cut_out(x, y, scale, width, height), "{x} {y}");
+        }
+        let unknown = (f64::NAN, 0.0, 1.0, 4, 3);
+        for (x, y, scale, width, height) in [
+            (-10.0, 0.0, 1.0, 40, 30),
+            (390.0, 0.0, 1.0, 40, 30),
+            (0.0, 0.0, 0.5, 400, 300),
+            unknown,
+        ] {
+            assert!(!camera.holds_cut_out(x, y, scale, width, height), "{x} {y}");
         }
     }
 

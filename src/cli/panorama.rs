@@ -30,13 +30,17 @@ use crate::probe::{Ball, Doubt, Panorama, clipped_regions, file};
 /// along -Z, +Y up) unless --camera holds a pose; --rotation turns them. Its unit is the
 /// photographs' linear value divided by their exposure; layers hold variance, validity and coverage.
 #[derive(Debug, clap::Args)]
-#[command(
-    after_help = "Examples:\n  platelight panorama ball_b*.jpg --ball --camera camera.json -o pano.exr --preview pano.png\n  \
-                        platelight panorama cut_b*.jpg --ball --camera camera.json --crop 1260,661,3 -o pano.exr\n  \
-                        platelight panorama ball.jpg --ball --focal-px 1264 --hint 755,549,73 -o pano.exr\n  \
-                        platelight panorama sky.exr --fisheye equidistant --fov 180 --rotation 90,0,0 -o pano.exr\n  \
-                        platelight panorama grace_probe.hdr --angular -o grace.exr"
-)]
+#[command(after_help = "\
+Examples:
+  platelight panorama ball_b*.jpg --ball --camera camera.json -o pano.exr \\
+      --preview pano.png
+  platelight panorama cut_b*.jpg --ball --camera camera.json \\
+      --crop 1260,661,3 -o pano.exr
+  platelight panorama ball.jpg --ball --focal-px 1264 --hint 755,549,73 \\
+      -o pano.exr
+  platelight panorama sky.exr --fisheye equidistant --fov 180 \\
+      --rotation 90,0,0 -o pano.exr
+  platelight panorama grace_probe.hdr --angular -o grace.exr")]
 pub struct Args {
     /// The photographs of one bracket, or one picture
     #[arg(required = true, value_name = "PHOTO")]
@@ -55,7 +59,8 @@ pub struct Args {
     /// Focal length in pixels [default: the 35-mm equivalent of EXIF or of a merged EXR, right only for uncropped photographs]
     #[arg(long, value_name = "F", requires = "ball")]
     focal_px: Option<f64>,
-    /// The photographs are a cut-out at SCALE × the camera's frame; their pixel (0, 0) is X,Y there
+    /// The photographs are a cut-out of the camera's frame enlarged SCALE times; their pixel (0, 0) is X,Y
+    /// of the enlarged frame
     #[arg(
         long,
         value_name = "X,Y,SCALE",
@@ -369,6 +374,16 @@ fn ball_camera(wishes: &Wishes, photo: &Photo, w: usize, h: usize) -> Result<Cam
     if let Some(path) = &args.camera {
         let camera = camera::file::read(path)?.camera;
         if let Some([x, y, scale]) = wishes.crop {
+            if !camera.holds_cut_out(x, y, scale, w, h) {
+                let [wide, high] = [camera.width, camera.height].map(|size| size as f64 * scale);
+                let frame = path.display();
+                return Err(CliError::wrong(format!(
+                    "--crop {x},{y},{scale}: {w} × {h} px from {x}, {y} on do not lie in the frame of {frame}, \
+                     {} × {} px, which is {wide:.0} × {high:.0} px at scale {scale}; X,Y is the cut-out's first \
+                     pixel in the frame at that scale",
+                    camera.width, camera.height
+                )));
+            }
             return Ok(camera.cropped(x, y, scale, w, h));
         }
         if (camera.width, camera.height) != (w, h) {

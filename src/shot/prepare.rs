@@ -286,6 +286,17 @@ fn ball_camera(
     let [width, height] = lens_size;
     let camera = Camera { width, height, lens: lens.lens.clone(), pose };
     match ball.crop {
+        Some(crop)
+            if !camera.holds_cut_out(crop.x, crop.y, crop.scale, photo_size[0], photo_size[1]) =>
+        {
+            let [wide, high] = lens_size.map(|size| size as f64 * crop.scale);
+            Err(format!(
+                "crop: {} × {} px from ({}, {}) on do not lie in the camera's frame of {width} × {height} px, \
+                 which is {wide:.0} × {high:.0} px at scale {}; x, y is the cut-out's first pixel in the frame \
+                 at that scale",
+                photo_size[0], photo_size[1], crop.x, crop.y, crop.scale
+            ))
+        }
         Some(crop) => {
             Ok(Some(camera.cropped(crop.x, crop.y, crop.scale, photo_size[0], photo_size[1])))
         }
