@@ -17,6 +17,17 @@ fn found(plate: Plate, keys: &str) -> Value {
     serde_json::from_slice(&output.stdout).expect("JSON")
 }
 
+/// What `check` says of such a shot that it refuses.
+fn refused(keys: &str) -> String {
+    let folder = tempfile::tempdir().expect("a folder");
+    let cube = write_cube(folder.path(), 0.2);
+    write_shot(folder.path(), Plate::Png8, &format!("{cube}{keys}"));
+    let output = platelight(&["check", text(folder.path())]);
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(2), "{said}");
+    said
+}
+
 /// The sentences about a key.
 fn said(found: &Value, list: &str, about: &str) -> Vec<String> {
     let list = found[list].as_array().expect("a list");
@@ -37,10 +48,48 @@ fn near_walls_are_used_without_a_warning_and_far_ones_stay_far() {
     assert!(far["lights"]["surroundings"].as_str().unwrap().starts_with("far enough"));
     assert!(said(&far, "warnings", "surroundings.box").is_empty());
     assert_eq!(said(&far, "notes", "surroundings.box").len(), 1);
-    let beside =
-        found(Plate::ExrHalf, "[surroundings]\nbox = { min = [1, -1, -2], max = [4, 2, 2] }\n");
-    let told = said(&beside, "warnings", "surroundings.box");
-    assert!(told[0].contains("the probe stands outside the box"), "{told:?}");
+}
+
+#[test]
+fn light_that_the_probe_cannot_have_seen_from_its_place_is_an_error() {
+    let told = refused("[surroundings]\nbox = { min = [1, -1, -2], max = [4, 2, 2] }\n");
+    let wanted = "surroundings.box: the probe stands at (0.00, 0.00, 0.00) m, outside the box";
+    assert!(told.contains(wanted) && told.contains("correct the box"), "{told}");
+    let told = refused("[[lamp]]\nat = [0.1, 0.1, 0]\nradius = 0.2\n");
+    assert!(told.contains("lamp[0]: the probe stands inside this lamp; correct"), "{told}");
+}
+
+#[test]
+fn tables_in_the_wrong_form_are_told_with_the_right_one() {
+    for (keys, wanted) in [
+        (
+            "[lamp]\nat = [0.5, 0.8, 0]\nradius = 0.1\n",
+            "lamp: expected a list of tables, found a table; write [[lamp]]",
+        ),
+        (
+            "[[surroundings]]\nbox = { min = [-1, -1, -1], max = [1, 1, 1] }\n",
+            "write [surroundings], in single brackets",
+        ),
+        ("[surroundings]\nbox = [[-1, -1, -1], [1, 1, 1]]\n", "write box = { min = …, max = … }"),
+        (
+            "[surroundings]\nbox = { min = [-1, 2, -1], max = [1, 1, 1] }\n",
+            "along y (2 and 1); min is the corner",
+        ),
+        (
+            "[[lamp]]\nat = [0.5, 0.8, 0]\nradius = 0.1\n[[lamp]]\nat = [0.5, 0.85, 0]\nradius = 0.02\n",
+            "lamp[1].at: is inside lamp[0]",
+        ),
+    ] {
+        let told = refused(keys);
+        assert!(told.contains(wanted), "{keys}: {told}");
+    }
+}
+
+#[test]
+fn a_lamp_behind_the_walls_is_told() {
+    let lamp = "[surroundings]\nbox = { min = [-2, -1, -2], max = [2, 2, 2] }\n[[lamp]]\nat = [3, 1, 0]\nradius = 0.1\n";
+    let told = said(&found(Plate::Png8, lamp), "warnings", "lamp[0]");
+    assert!(told[0].contains("outside the box of [surroundings]"), "{told:?}");
 }
 
 #[test]

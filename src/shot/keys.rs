@@ -282,14 +282,34 @@ impl<'a> Keys<'a> {
 
     /// A table with these keys and no others.
     pub fn table(&self, key: &'static str, known: &'static [&'static str]) -> Option<Self> {
-        let start = self.value(key)?.span().start;
-        let table = self.read(key, "a table", |v| v.as_table())?;
-        Some(Self::open(self.problems, self.path(key), start, table, known))
+        let value = self.value(key)?;
+        let Some(table) = value.get_ref().as_table() else {
+            let found = kind(value.get_ref());
+            let form = self.form(key, known);
+            self.problem(key, &format!("expected a table, found {found}; {form}"));
+            return None;
+        };
+        Some(Self::open(self.problems, self.path(key), value.span().start, table, known))
+    }
+
+    /// How the table `key` of these keys is written.
+    fn form(&self, key: &str, known: &[&str]) -> String {
+        if self.name.is_empty() {
+            return format!("write [{key}], in single brackets, once");
+        }
+        let some = known.iter().take(3).map(|known| format!("{known} = …"));
+        let rest = (known.len() > 3).then(|| "…".to_owned());
+        let inside = some.chain(rest).collect::<Vec<_>>().join(", ");
+        format!("write {key} = {{ {inside} }}, in braces, once")
     }
 
     /// A list of tables, each with these keys and no others; empty if the key is missing.
     pub fn tables(&self, key: &'static str, known: &'static [&'static str]) -> Vec<Self> {
-        let Some(array) = self.read(key, "a list of tables", |v| v.as_array()) else {
+        let Some(value) = self.value(key) else { return Vec::new() };
+        let form = format!("write [[{}]], in double brackets, for each", self.path(key));
+        let Some(array) = value.get_ref().as_array() else {
+            let found = kind(value.get_ref());
+            self.problem(key, &format!("expected a list of tables, found {found}; {form}"));
             return Vec::new();
         };
         let mut tables = Vec::with_capacity(array.len());
@@ -300,7 +320,7 @@ impl<'a> Keys<'a> {
                 Some(table) => tables.push(Self::open(self.problems, name, start, table, known)),
                 None => self.problems.note(
                     start,
-                    &format!("{name}: expected a table, found {}", kind(value.get_ref())),
+                    &format!("{name}: expected a table, found {}; {form}", kind(value.get_ref())),
                 ),
             }
         }

@@ -254,7 +254,8 @@ pub fn light(
     let mut suns = judge_clipped(&mut panorama, setting, &mut report, &mut warnings)?;
     // Also of what turns out to be a lamp's
     let sigma_sun = suns.iter().map(|(_, sigma)| *sigma).reduce(f64::max);
-    let near = NearField::find(setting, &mut panorama, &mut suns);
+    let near = NearField::find(setting, &mut panorama, &mut suns)
+        .map_err(|error| format!("{}: {error}", plan.shot.path.display()))?;
     warnings.extend(near.warnings);
     let options = LightOptions {
         suns: match plan.shot.probe.suns {

@@ -40,29 +40,35 @@ const OPEN: f64 = 0.05;
 impl NearField {
     /// Judges walls and lamps and takes near lamps out of the panorama. Recovered `suns` that were
     /// lamps go with them.
-    pub fn find(setting: &Setting, panorama: &mut Panorama, suns: &mut Vec<(Disc, f64)>) -> Self {
+    ///
+    /// # Errors
+    /// A sentence with key and remedy: the probe stands where it cannot have seen this light.
+    pub fn find(
+        setting: &Setting,
+        panorama: &mut Panorama,
+        suns: &mut Vec<(Disc, f64)>,
+    ) -> Result<Self, String> {
         let mut near = Self::default();
         let reach = reach(setting.plan, panorama.place);
-        near.walls(setting, panorama.place, reach);
+        near.walls(setting, panorama.place, reach)?;
         for k in 0..setting.plan.shot.lamps.len() {
-            near.lamp(k, setting, panorama, suns, reach);
+            near.lamp(k, setting, panorama, suns, reach)?;
         }
-        near
+        Ok(near)
     }
 
-    fn walls(&mut self, setting: &Setting, probe: DVec3, reach: f64) {
-        let Some(keys) = &setting.plan.shot.surroundings else { return };
+    fn walls(&mut self, setting: &Setting, probe: DVec3, reach: f64) -> Result<(), String> {
+        let Some(keys) = &setting.plan.shot.surroundings else { return Ok(()) };
         let centre = setting.scene.from_world(probe);
-        let (key, proxy, remedy) = match keys {
+        let (key, proxy) = match keys {
             Surroundings::Box { min, max } => {
                 let corner = |p: [f64; 3]| setting.scene.from_world(p.into());
                 let proxy = Proxy::of_box(centre, corner(*min), corner(*max));
-                ("surroundings.box", proxy, "the probe stands outside the box")
+                ("surroundings.box", Some(proxy.ok_or_else(|| not_in_the_box(probe, *min, *max))?))
             }
             Surroundings::Mesh(_) => {
                 let meshes = setting.plan.surroundings.as_ref().map(|m| meshes(m, setting.scene));
-                let proxy = meshes.and_then(|meshes| Proxy::of_mesh(centre, meshes));
-                ("surroundings.mesh", proxy, "the mesh has no surface")
+                ("surroundings.mesh", meshes.and_then(|meshes| Proxy::of_mesh(centre, meshes)))
             }
         };
         let Some((proxy, distance)) = proxy.and_then(|p| p.nearest_wall().map(|d| (p, d))) else {
@@ -70,13 +76,11 @@ impl NearField {
             self.surroundings = "treated as infinitely far away".to_owned();
             self.warnings.push(Warning::new(
                 key,
-                format!(
-                    "{remedy}, or no wall of it stands beside or above the probe, so that nobody \
-                     knows where the light comes from; correct it, or the probe's place"
-                ),
+                "no wall of it stands beside or above the probe, so that nobody knows where the light \
+                 comes from; correct it, or the probe's place",
                 "light on the objects off by 100 % or more",
             ));
-            return;
+            return Ok(());
         };
         let distance = f64::from(distance);
         let error = distant_error(reach, distance);
@@ -87,7 +91,7 @@ impl NearField {
             self.stays(error);
             self.surroundings = format!("far enough to be treated as infinitely far away: {facts}");
             self.warnings.push(far_enough(key, &facts, error));
-            return;
+            return Ok(());
         }
         self.surroundings = format!(
             "light lies on the walls: {facts}; as distant light it would be off by {}",
@@ -96,6 +100,7 @@ impl NearField {
         self.warnings.extend(outside(key, &proxy, setting));
         self.warnings.extend(open(key, &proxy));
         self.proxy = Some(proxy);
+        Ok(())
     }
 
     fn lamp(
@@ -105,9 +110,10 @@ impl NearField {
         panorama: &mut Panorama,
         suns: &mut Vec<(Disc, f64)>,
         reach: f64,
-    ) {
+    ) -> Result<(), String> {
         let keys = setting.plan.shot.lamps[k];
         let (key, at) = (format!("lamp[{k}]"), DVec3::from(keys.at));
+        self.warnings.extend(behind_the_walls(&key, at, &setting.plan.shot.surroundings));
         let distance = panorama.place.distance(at) - keys.radius;
         let error = distant_error(reach, distance);
         let mut report =
@@ -120,7 +126,7 @@ impl NearField {
             report.treated = format!("far enough to be treated as infinitely far away: {facts}");
             self.lamp_reports.push(report);
             self.warnings.push(far_enough(&key, &facts, error));
-            return;
+            return Ok(());
         }
         let hidden = hides(setting.local, setting.scene, panorama.place, at, keys.radius);
         let probe_radius = probe_radius(setting.plan);
@@ -131,12 +137,13 @@ impl NearField {
         };
         let taken = match taken {
             Ok(taken) => taken,
+            Err(why @ NoLamp::Inside) => return Err(format!("{key}: {}", cause(why, hidden))),
             Err(why) => {
                 self.stays(error);
                 report.treated = "not found in the panorama".to_owned();
                 self.lamp_reports.push(report);
                 self.warnings.push(not_found(&key, why, hidden, error));
-                return;
+                return Ok(());
             }
         };
         let lamp = Lamp {
@@ -154,6 +161,7 @@ impl NearField {
         report.radiance = lamp.radiance.as_dvec3().to_array();
         self.lamp_reports.push(report);
         self.lamps.push(lamp);
+        Ok(())
     }
 
     /// Something is left as distant light, with this error.
@@ -186,8 +194,34 @@ fn far_enough(key: &str, facts: &str, error: f64) -> Warning {
     Warning { asks: false, ..said }
 }
 
-fn not_found(key: &str, why: NoLamp, hidden: bool, error: f64) -> Warning {
-    let cause = match why {
+fn not_in_the_box(probe: DVec3, min: [f64; 3], max: [f64; 3]) -> String {
+    let place = |p: [f64; 3]| p.map(|x| format!("{x:.2}")).join(", ");
+    format!(
+        "surroundings.box: the probe stands at ({}) m, outside the box from ({}) to ({}) or on a wall of \
+         it, and saw its walls from there; correct the box, or the probe's place",
+        place(probe.to_array()),
+        place(min),
+        place(max)
+    )
+}
+
+/// A box has no window through which a lamp could shine.
+fn behind_the_walls(key: &str, at: DVec3, surroundings: &Option<Surroundings>) -> Option<Warning> {
+    let Some(Surroundings::Box { min, max }) = surroundings else { return None };
+    let inside = at.cmpge(DVec3::from(*min)).all() && at.cmple(DVec3::from(*max)).all();
+    (!inside).then(|| {
+        Warning::new(
+            key,
+            "the lamp stands outside the box of [surroundings], behind its walls, and lights what is in \
+             it all the same; correct its place, or make the box as large as the room",
+            "its light and the walls' come from places that cannot both be right",
+        )
+    })
+}
+
+/// Why a lamp stays in the panorama, and what to do.
+fn cause(why: NoLamp, hidden: bool) -> String {
+    match why {
         NoLamp::Inside => {
             "the probe stands inside this lamp; correct its place or radius".to_owned()
         }
@@ -203,7 +237,11 @@ fn not_found(key: &str, why: NoLamp, hidden: bool, error: f64) -> Warning {
              ({excess:.3} above {surroundings:.3}); correct its place (overlay_panorama.png shows \
              where lights are), or take it out if it is off"
         ),
-    };
+    }
+}
+
+fn not_found(key: &str, why: NoLamp, hidden: bool, error: f64) -> Warning {
+    let cause = cause(why, hidden);
     let rest = "its light, wherever it is in the panorama, is treated as infinitely far away";
     Warning::new(
         key,

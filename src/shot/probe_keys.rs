@@ -308,8 +308,16 @@ impl Surroundings {
         let min = table.need("min", table.place("min"), "give the lower corner in metres");
         let max = table.need("max", table.place("max"), "give the upper corner in metres");
         let (min, max) = (min?, max?);
-        if (0..3).any(|axis| min[axis] >= max[axis]) {
-            table.problem("min", "is not below max on every axis");
+        let turned = (0..3).filter(|&axis| min[axis] >= max[axis]);
+        let turned: Vec<String> = turned
+            .map(|axis| format!("{} ({} and {})", ["x", "y", "z"][axis], min[axis], max[axis]))
+            .collect();
+        if !turned.is_empty() {
+            let axes = turned.join(", ");
+            let said = format!(
+                "is not below max along {axes}; min is the corner of the smallest x, y and z"
+            );
+            table.problem("min", &said);
             return None;
         }
         Some(Self::Box { min, max })
