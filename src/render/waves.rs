@@ -50,7 +50,7 @@ const UNSEEN_SHARE: f64 = 0.1;
 /// The same where no error is asked for.
 const UNSEEN: f64 = 1e-4;
 /// Gain in error that denoising of few samples has (methods-render R8.2: worth six times as many).
-const EXPECTED_GAIN: f64 = 2.0;
+pub const EXPECTED_GAIN: f64 = 2.0;
 /// How far past the time asked for the pilot may go, so that every part of the picture has something.
 const PILOT_GRACE_SECONDS: f64 = 1.0;
 

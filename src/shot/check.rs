@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use serde::Serialize;
 
-use super::file::ShotFile;
+use super::file::{DenoiseKeys, ShotFile};
 use super::frames::frame_path;
 use super::plan::Plan;
 use super::prepare::prepare;
@@ -12,6 +12,7 @@ use super::run::RunError;
 use super::stop::StopKeys;
 use super::watch::{Stopwatch, Watch};
 use crate::render::Context;
+use crate::render::waves::EXPECTED_GAIN;
 use crate::report::{CameraReport, LightsReport, PoseReport, ProbeReport, Warning};
 
 /// What a check found on a shot that can run.
@@ -93,9 +94,8 @@ fn predicted_time(plan: &Plan) -> String {
         StopKeys::Samples(samples) => {
             format!("{} of rendering", span(seconds(plan, f64::from(samples))))
         }
-        // Noise falls with the root of the samples.
         StopKeys::Error(error) => {
-            let samples = SAMPLES_FOR_ONE_PERCENT * (0.01 / error).powi(2);
+            let samples = samples_for(error, plan.shot.render.denoise);
             format!("about {} of rendering", span(seconds(plan, samples)))
         }
     }
@@ -103,6 +103,15 @@ fn predicted_time(plan: &Plan) -> String {
 
 /// Samples a pixel with which the truth scenes reach an error of 1 %.
 const SAMPLES_FOR_ONE_PERCENT: f64 = 250.0;
+
+/// Samples a pixel for an error: noise falls with their root, and denoising takes its part.
+fn samples_for(error: f64, denoise: DenoiseKeys) -> f64 {
+    let sampled = match denoise {
+        DenoiseKeys::Auto => EXPECTED_GAIN * error,
+        DenoiseKeys::Off => error,
+    };
+    SAMPLES_FOR_ONE_PERCENT * (0.01 / sampled).powi(2)
+}
 
 /// Seconds on this machine's cores for `samples` in every pixel.
 fn seconds(plan: &Plan, samples: f64) -> f64 {
@@ -166,4 +175,16 @@ impl std::fmt::Display for Findings {
 
 fn frames(n: usize) -> String {
     if n == 1 { "1 frame".to_owned() } else { format!("{n} frames") }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_denoised_needs_fewer_samples() {
+        assert_eq!(samples_for(0.01, DenoiseKeys::Off), SAMPLES_FOR_ONE_PERCENT);
+        let gain = samples_for(0.02, DenoiseKeys::Off) / samples_for(0.02, DenoiseKeys::Auto);
+        assert!((gain - EXPECTED_GAIN.powi(2)).abs() < 1e-9, "{gain}");
+    }
 }

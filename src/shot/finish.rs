@@ -17,8 +17,8 @@ use crate::conventions::Rgb;
 use crate::light::median_per_channel;
 use crate::photo::Image;
 use crate::probe;
-use crate::render::Difference;
 use crate::render::waves::MOST_SAMPLES;
+use crate::render::{Caustics, Difference};
 use crate::report::{self, CompositeReport, Picture, PlateReport, RenderReport, Report, Warning};
 use crate::scene::{AlbedoSource, Scene};
 
@@ -143,7 +143,8 @@ fn warnings(done: &Finish, composed: &Composed) -> Vec<Warning> {
             format!("{:.1} % of the picture", percent(render.missing, pixels)),
         ));
     }
-    warnings.extend(outliers_warning(render.outliers, tally.changed));
+    let (stop, caustics) = (plan.shot.render.stop, plan.shot.render.caustics);
+    warnings.extend(outliers_warning(render.outliers, tally.changed, stop, caustics));
     if let Some(ground) = place::ground(plan) {
         warnings.extend(border_warning(prepared, difference, &ground));
     }
@@ -273,7 +274,12 @@ fn composite_warnings(composite: &Composite, clamped: u64) -> Vec<Warning> {
 }
 
 /// Few such pixels are a note; where they are many they show as specks.
-fn outliers_warning(outliers: u64, changed: u64) -> Option<Warning> {
+fn outliers_warning(
+    outliers: u64,
+    changed: u64,
+    stop: StopKeys,
+    caustics: Caustics,
+) -> Option<Warning> {
     let share = percent(outliers, changed);
     let found = "some pixels caught light that is found by chance (a sun mirrored by an object); the \
                  error reached leaves them out, the layer stderr does not";
@@ -282,7 +288,16 @@ fn outliers_warning(outliers: u64, changed: u64) -> Option<Warning> {
         _ if outliers == 0 => None,
         share if share < SPECKS_PERCENT => Some(Warning::note("render", found, size)),
         _ => {
-            let remedy = format!("{found}; they may show as specks: take a smaller render.error");
+            let more = match stop {
+                StopKeys::Error(_) => "take a smaller render.error",
+                StopKeys::Time(_) => "give more render.time",
+                StopKeys::Samples(_) => "take more render.samples",
+            };
+            let or = match caustics {
+                Caustics::Soft => "",
+                Caustics::Exact => ", or render.caustics = \"soft\"",
+            };
+            let remedy = format!("{found}; they may show as specks: {more}{or}");
             Some(Warning::new("render", remedy, size))
         }
     }
@@ -366,5 +381,18 @@ mod tests {
         let scene = Scene { local: given.to_vec(), ..Scene::default() };
         let solved = solved_albedos(&scene, &layer);
         assert_eq!(median_per_channel(&solved), Some(Rgb::splat(0.3)));
+    }
+
+    #[test]
+    fn specks_are_met_by_more_of_what_was_asked_for() {
+        let said = |stop, caustics| {
+            let warning = outliers_warning(100, 1000, stop, caustics).unwrap();
+            assert!(warning.asks);
+            warning.message
+        };
+        assert!(said(StopKeys::Error(0.01), Caustics::Soft).ends_with("a smaller render.error"));
+        assert!(said(StopKeys::Time(60.0), Caustics::Soft).ends_with("more render.time"));
+        let exact = said(StopKeys::Samples(64), Caustics::Exact);
+        assert!(exact.ends_with("more render.samples, or render.caustics = \"soft\""), "{exact}");
     }
 }

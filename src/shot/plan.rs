@@ -148,14 +148,9 @@ impl Finder {
         self.keep(key, model.check_place(world_from_model))?;
         // What moves may be scaled to nothing for a while.
         if model.n_triangles() == 0 && model.played.is_none() {
-            let mut why = model.warnings.join("; ");
-            if !why.is_empty() {
-                why = format!(" ({why})");
-            }
-            let cause = format!(
-                "holds no triangles, so there is nothing to see{why}; export the mesh itself, or take \
-                 {key} out"
-            );
+            // Both readers say that there are none, and what they left out.
+            let why = model.warnings.join("; ");
+            let cause = format!("{why}; export the mesh itself, or take {key} out");
             self.problem(key, path, &cause);
             return None;
         }
