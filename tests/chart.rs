@@ -43,7 +43,7 @@ fn all_files_are_written_and_what_is_known_of_the_methods_is_found() {
     let shot = write_shot(folder.path(), Plate::ExrFloat, &object);
     let out = folder.path().join("chart");
     let methods = ["two-pass-independent", "two-pass", "coupled", "depth-1", "patches-64"];
-    let chart = charted(&shot, &out, 10.0, &methods, Some(1));
+    let chart = charted(&shot, &out, 20.0, &methods, Some(1));
 
     for name in ["chart.csv", "chart.svg", "chart.png", "chart.html", "crops.png"] {
         assert!(out.join(name).metadata().is_ok_and(|file| file.len() > 100), "{name}");

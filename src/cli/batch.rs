@@ -15,8 +15,8 @@ Examples:
   platelight batch shots
   platelight batch shots/robot shots/teapot --out renders --skip-existing
 
-Every shot's results go into out/ beside its shot file, or with --out into DIR/<name of its folder>.
-A summary goes to stdout and to batch.json. Exit code 0 if all shots are done, 1 if some shots or
+Every shot's results go into out/ beside its shot file, or with --out into DIR/<name of its folder>. \
+A summary goes to stdout and to batch.json. Exit code 0 if all shots are done, 1 if some shots or \
 frames failed, 2 if all failed or nothing could begin.")]
 pub struct Args {
     /// Folders that hold shot.toml, or folders of such folders

@@ -16,12 +16,12 @@ use crate::shot::stop::StopKeys;
 Examples:
   platelight chart shots/robot
   platelight chart shots/robot --time 600 --out charts/robot
-  platelight chart shots/robot --methods two-pass,coupled,mis-compensated --scale 0.5
+  platelight chart shots/robot --methods two-pass,mis-compensated --scale 0.5
 
-Renders a reference, then the shot's own settings (auto) and each method at growing cost, in turn, and
-writes chart.csv, chart.svg, chart.png, chart.html and crops.png, the same part of the picture by every
-method at equal time. Error and bias are those over the influence region, relative to the picture's
-brightness; costs are CPU seconds of rendering, without preparation.
+Renders a reference, then the shot's own settings (auto) and each method at growing cost, in turn, and \
+writes chart.csv, chart.svg, chart.png, chart.html and crops.png, the same part of the picture by every \
+method, each at its cost nearest to the others'. Error and bias are those over the influence region, \
+relative to the picture's brightness; costs are CPU seconds of rendering, without preparation.
 
 Methods: {}.", method_names()))]
 pub struct Args {
@@ -31,7 +31,7 @@ pub struct Args {
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     /// Be done after about this long (60, 60s, 5m, 2h), preparation included; every method is rendered
-    /// once, though that may take longer
+    /// once, even if that takes longer
     #[arg(long, value_name = "TIME", default_value = "180s", allow_negative_numbers = true)]
     time: String,
     /// Methods to hold against the shot's own settings, separated by commas [default: all]
@@ -49,8 +49,6 @@ fn method_names() -> String {
 
 /// Less is over before anything was rendered twice.
 const LEAST_SECONDS: f64 = 2.0;
-/// No plate has a pixel left at less.
-const LEAST_SCALE: f64 = 0.001;
 
 pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
     let told = |problem: String| CliError::wrong(format!("--time: {problem}"));
@@ -64,9 +62,10 @@ pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
         }
     };
     let reduced = match args.scale {
-        Some(scale) if !(LEAST_SCALE..=1.0).contains(&scale) => {
+        Some(scale) if !(scale > 0.0 && scale <= 1.0) => {
             return Err(CliError::wrong(format!(
-                "--scale: {scale} is not between {LEAST_SCALE} and 1, the plate's own size"
+                "--scale: {scale} is no share of the plate's size; write one above 0 and up to 1, the \
+                 plate's own"
             )));
         }
         scale => scale.map(|scale| (1.0 / scale).round() as usize),

@@ -13,8 +13,8 @@ Examples:
   platelight check shots/robot
   platelight check shots/robot --json
 
-Reads every file, calibrates, finds tags, boards and the ball, and predicts memory and time.
-Writes nothing. Exit code 0 if the shot can run, 2 if not. Problems come in up to three rounds, all
+Reads every file, calibrates, finds tags, boards and the ball, and predicts memory and time. \
+Writes nothing. Exit code 0 if the shot can run, 2 if not. Problems come in up to three rounds, all \
 of a round together: the text and missing files, what is in the files, what the photographs show.")]
 pub struct Args {
     /// The shot file, or the folder that holds shot.toml

@@ -18,11 +18,14 @@ use crate::shot::locate;
 /// The world: metres, +Y up. The target's place is its centre (a tag's black square, a board's grid of
 /// inner corners), where its printed side looks, and where its upper edge points.
 #[derive(Debug, clap::Args)]
-#[command(
-    after_help = "Examples:\n  platelight locate tag.jpg --camera camera.json --tag 7 --size-mm 120 -o located.json\n  \
-                  platelight locate board.jpg --camera camera.json --board 9x6 --square-mm 25 --at 0,0.002,0\n  \
-                  platelight locate plate.png --camera camera.json --rectangle 301,210,640,222,702,480,260,455 --size-m 0.45,0.45"
-)]
+#[command(after_help = "\
+Examples:
+  platelight locate tag.jpg --camera camera.json --tag 7 --size-mm 120 \\
+      -o located.json
+  platelight locate board.jpg --camera camera.json --board 9x6 --square-mm 25 \\
+      --at 0,0.002,0
+  platelight locate plate.png --camera camera.json --size-m 0.45,0.45 \\
+      --rectangle 301,210,640,222,702,480,260,455")]
 #[command(group = clap::ArgGroup::new("target").required(true).args(["tag", "board", "rectangle"]))]
 pub struct Args {
     /// The photograph

@@ -247,3 +247,31 @@ fn in_pool<T: Send>(
         .map_err(|e| CliError::wrong(format!("--threads: {e}; ask for fewer threads")))?;
     pool.install(work)
 }
+
+#[cfg(test)]
+mod tests {
+    use clap::CommandFactory;
+
+    use super::*;
+
+    /// Terminals wrap what is longer, and a wrapped example is not what is to be typed; a paragraph that
+    /// is broken by hand is broken again by a terminal of another width.
+    #[test]
+    fn examples_fit_a_terminal_and_paragraphs_are_left_to_it() {
+        const NARROW: usize = 80;
+        let program = Cli::command();
+        for command in std::iter::once(&program).chain(program.get_subcommands()) {
+            let Some(help) = command.get_after_help() else { continue };
+            let (help, name) = (help.to_string(), command.get_name());
+            let lines: Vec<&str> = help.lines().collect();
+            for (k, line) in lines.iter().enumerate() {
+                let next = lines.get(k + 1).copied().unwrap_or_default();
+                if line.starts_with(' ') {
+                    assert!(line.chars().count() <= NARROW, "{name}: {line}");
+                } else if !line.is_empty() {
+                    assert!(next.is_empty() || next.starts_with(' '), "{name}: {line}\n{next}");
+                }
+            }
+        }
+    }
+}

@@ -17,7 +17,7 @@ Examples:
   platelight run shots/robot/shot.toml --out renders/robot --error 0.005
   platelight run shots/robot --time 5m
 
-Writes composite.exr (all layers), composite.png, camera.json, panorama.exr, report.json, report.html
+Writes composite.exr (all layers), composite.png, camera.json, panorama.exr, report.json, report.html \
 and overlays. A first composite is there seconds after the start and is replaced when it is finished.")]
 pub struct Args {
     /// The shot file, or the folder that holds shot.toml

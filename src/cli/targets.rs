@@ -15,11 +15,13 @@ use crate::shot::sheet::{self, Sheet};
 /// Print at 100 % and measure the bar of 50 mm, then one square or tag: what you measure is what you
 /// give to calibrate and locate. Glue the print on something flat; a bow of half a millimetre shows.
 #[derive(Debug, clap::Args)]
-#[command(
-    after_help = "Examples:\n  platelight targets checkerboard --corners 9x6 --square-mm 25 --page A3 -o board.pdf\n  \
-                        platelight targets tags --ids 0-3,7 --size-mm 120 -o tags.pdf\n  \
-                        platelight targets charuco --corners 6x4 --square-mm 30 --page A3 -o charuco.svg"
-)]
+#[command(after_help = "\
+Examples:
+  platelight targets checkerboard --corners 9x6 --square-mm 25 --page A3 \\
+      -o board.pdf
+  platelight targets tags --ids 0-3,7 --size-mm 120 -o tags.pdf
+  platelight targets charuco --corners 6x4 --square-mm 30 --page A3 \\
+      -o charuco.svg")]
 pub struct Args {
     #[command(subcommand)]
     target: Target,

@@ -1,7 +1,7 @@
 //! The chart as marks on paper: panels with logarithmic axes, curves, legends.
 //!
-//! Four panels, one a [`Group`], error above and bias below, all with the same axes; what the shot's
-//! settings choose is the black curve in every panel. Nothing here knows what a picture file is.
+//! A panel for each [`Group`] that has curves, error above and bias below, all with the same axes; what
+//! the shot's settings choose is the black curve in every panel. Nothing here knows what a picture file is.
 
 use glam::DVec2;
 
@@ -11,6 +11,12 @@ use crate::report::canvas::Colour;
 /// Size of the paper, px.
 pub const WIDTH: f64 = 1920.0;
 pub const HEIGHT: f64 = 1180.0;
+/// From the paper's edge to the first panel, and from a panel to the next, px.
+const LEFT: f64 = 120.0;
+const BETWEEN: f64 = 80.0;
+/// A bias of more standard errors than this is shown as one. All methods are held against the same
+/// reference: its noise moves them together, two of its standard errors in one chart of twenty.
+const SURE: f64 = 3.0;
 /// A letter of the picture's text, px: width with its gap, height.
 pub const LETTER: DVec2 = DVec2::new(12.0, 14.0);
 
@@ -63,49 +69,82 @@ pub enum Mark {
     },
 }
 
-/// Decades of one axis, and where they lie on the paper.
+/// One axis: what its ends stand for, and where they lie on the paper.
 #[derive(Clone, Copy)]
 struct Axis {
-    /// Powers of ten at both ends.
-    decades: [i32; 2],
+    /// Each 1, 2 or 5 times a power of ten.
+    range: [f64; 2],
     ends: [f64; 2],
 }
 
 impl Axis {
-    /// Whole decades that hold all values above 0; at most `most` of them, the highest.
+    /// Between the steps round all values above 0, at least a factor of five apart; of more than `most`
+    /// decades the highest.
     fn new(values: impl Iterator<Item = f64>, most: i32, ends: [f64; 2]) -> Self {
         let positive = values.filter(|v| *v > 0.0 && v.is_finite());
         let (low, high) =
             positive.fold((f64::INFINITY, 0.0_f64), |(low, high), v| (low.min(v), high.max(v)));
-        let decades = if high > 0.0 {
-            let top = high.log10().ceil() as i32;
-            let bottom = (low.log10().floor() as i32).min(top - 1);
-            [bottom.max(top - most), top]
-        } else {
-            [-2, 0]
-        };
-        Self { decades, ends }
+        if high <= 0.0 {
+            return Self { range: [0.01, 1.0], ends };
+        }
+        let high = steps(high).find(|step| *step >= high * (1.0 - ROUNDING)).unwrap_or(high);
+        let low = low.clamp(high / 10f64.powi(most), 0.2 * high);
+        let below = steps(low).take_while(|step| *step <= low * (1.0 + ROUNDING)).last();
+        Self { range: [below.unwrap_or(low), high], ends }
     }
 
     fn at(&self, value: f64) -> f64 {
-        let [low, high] = self.decades.map(f64::from);
-        let share = (value.max(1e-300).log10() - low) / (high - low);
+        let [low, high] = self.range.map(f64::ln);
+        let share = (value.max(1e-300).ln() - low) / (high - low);
         self.ends[0] + (self.ends[1] - self.ends[0]) * share.clamp(0.0, 1.0)
     }
 
     fn holds(&self, value: f64) -> bool {
-        value >= 10f64.powi(self.decades[0]) && value <= 10f64.powi(self.decades[1])
+        value >= self.range[0] * (1.0 - ROUNDING) && !self.ends_below(value)
+    }
+
+    fn ends_below(&self, value: f64) -> bool {
+        value > self.range[1] * (1.0 + ROUNDING)
     }
 
     /// Every decade, and 2 and 5 of each where there are few.
     fn ticks(&self) -> Vec<f64> {
-        let few = self.decades[1] - self.decades[0] <= 2;
-        let steps: &[f64] = if few { &[1.0, 2.0, 5.0] } else { &[1.0] };
-        (self.decades[0]..=self.decades[1])
-            .flat_map(|decade| steps.iter().map(move |step| step * 10f64.powi(decade)))
-            .filter(|&tick| self.holds(tick * (1.0 - 1e-9)) || self.holds(tick))
+        let [low, high] = self.range;
+        let few = high / low < 300.0;
+        let decades = (low.log10().floor() as i32)..=(high.log10().ceil() as i32);
+        let kept: &[f64] = if few { &[1.0, 2.0, 5.0] } else { &[1.0] };
+        decades
+            .flat_map(|decade| kept.iter().map(move |step| step * 10f64.powi(decade)))
+            .filter(|&tick| self.holds(tick))
             .collect()
     }
+}
+
+/// Of products of steps and powers of ten.
+const ROUNDING: f64 = 1e-9;
+
+/// 1, 2 and 5 times the power of ten at or below `value`, and the next one.
+fn steps(value: f64) -> impl Iterator<Item = f64> {
+    let decade = 10f64.powi(value.log10().floor() as i32);
+    [1.0, 2.0, 5.0, 10.0].into_iter().map(move |step| step * decade)
+}
+
+/// The largest error that is shown: ten times the largest of the shot's own settings. Methods beyond
+/// would press all others into a corner.
+fn largest_shown(chart: &Chart) -> f64 {
+    let own = chart.curves.first().into_iter().flat_map(|curve| &curve.points).chain(&chart.chosen);
+    let largest = own.filter_map(|point| point.error).fold(0.0, f64::max);
+    if largest > 0.0 { 10.0 * largest } else { f64::INFINITY }
+}
+
+/// Groups with a curve beside the shot's own settings; with none, the one that those are in.
+fn groups(chart: &Chart) -> Vec<Group> {
+    let others = || chart.curves.iter().skip(1);
+    let shown: Vec<Group> = Group::ALL
+        .into_iter()
+        .filter(|group| others().any(|curve| curve.group == *group))
+        .collect();
+    if shown.is_empty() { vec![Group::Methods] } else { shown }
 }
 
 /// Everything to be drawn, in order.
@@ -113,18 +152,25 @@ pub fn marks(chart: &Chart) -> Vec<Mark> {
     let mut marks = Vec::new();
     heading(chart, &mut marks);
     let points = || chart.curves.iter().flat_map(|curve| &curve.points).chain(&chart.chosen);
-    for (column, group) in Group::ALL.into_iter().enumerate() {
-        let left = 120.0 + 450.0 * column as f64;
-        let x = Axis::new(points().map(|p| p.cpu_seconds), 6, [left, left + 360.0]);
-        let errors = points().filter_map(|p| p.error).chain(chart.target);
+    let (groups, largest) = (groups(chart), largest_shown(chart));
+    let pitch = (WIDTH - LEFT) / groups.len() as f64;
+    for (column, group) in groups.into_iter().enumerate() {
+        let left = LEFT + pitch * column as f64;
+        let x = Axis::new(points().map(|p| p.cpu_seconds), 6, [left, left + pitch - BETWEEN]);
+        let errors = points().filter_map(|p| p.error).filter(|error| *error <= largest);
+        let errors = errors.chain(chart.target);
         let y = Axis::new(errors.chain([chart.reference.error]), 5, [560.0, 164.0]);
         let error = Panel { x, y, value: |point| point.error, first: column == 0 };
         error.frame(group.title(), "error", "", &mut marks);
-        error.level(chart.reference.error, "reference", DARK, &mut marks);
+        // Their names on the sides that look away from each other
+        let own = chart.reference.error;
+        let above = chart.target.is_none_or(|target| own > target);
+        error.level(own, "reference", above, DARK, &mut marks);
         if let Some(target) = chart.target {
-            error.level(target, "asked for", RED, &mut marks);
+            error.level(target, "asked for", !above, RED, &mut marks);
         }
-        let biases = points().map(|p| p.bias.abs());
+        let biases = points().map(|p| p.bias.abs().max(p.bias_sigma));
+        let biases = biases.filter(|bias| *bias <= largest);
         let y = Axis::new(biases, 5, [900.0, 640.0]);
         let bias = Panel { x, y, value: |point| Some(point.bias.abs()), first: column == 0 };
         bias.frame("", "bias", "CPU seconds", &mut marks);
@@ -134,9 +180,10 @@ pub fn marks(chart: &Chart) -> Vec<Mark> {
         let coloured: Vec<(&Curve, Colour)> = others.zip(COLOURS.into_iter().cycle()).collect();
         for (row, (curve, colour)) in coloured.into_iter().chain(auto).enumerate() {
             error.curve(curve, colour, |_| true, &mut marks);
-            bias.curve(curve, colour, |p| p.bias.abs() > 2.0 * p.bias_sigma, &mut marks);
+            bias.curve(curve, colour, |p| p.bias.abs() > SURE * p.bias_sigma, &mut marks);
             let at = DVec2::new(left, 990.0 + 22.0 * row as f64);
-            legend(curve, colour, at, &mut marks);
+            let shown = curve.points.iter().any(|point| error.place(point).is_some());
+            legend(curve, shown, colour, at, &mut marks);
         }
         if let Some(chosen) = &chart.chosen {
             error.ring(chosen, &mut marks);
@@ -149,18 +196,21 @@ pub fn marks(chart: &Chart) -> Vec<Mark> {
 fn heading(chart: &Chart, marks: &mut Vec<Mark>) {
     let [width, height] = chart.size;
     let percent = crate::report::text::per_cent;
+    let ring = match &chart.chosen {
+        Some(_) => format!(" Ring: where {} stops the shot's own settings (auto).", chart.stop),
+        None => String::new(),
+    };
     let lines = [
         format!("{}: error and bias over CPU seconds", chart.name),
         format!(
-            "{width} x {height} px, 1/{} of the plate. Reference: good to {}. Ring: where {} stops the \
-             shot's own settings (auto).",
+            "{width} x {height} px, 1/{} of the plate. Reference: good to {}.{ring}",
             chart.reduced,
             percent(chart.reference.error),
-            chart.stop
         ),
-        "Relative to the picture's brightness, root mean square over the influence region. Hollow: \
-         bias within two standard errors of 0."
-            .to_owned(),
+        format!(
+            "Relative to the picture's brightness, root mean square over the influence region. Hollow: \
+             bias within {SURE:.0} standard errors of 0."
+        ),
     ];
     for (line, text) in lines.into_iter().enumerate() {
         let at = DVec2::new(40.0, 34.0 + 24.0 * line as f64);
@@ -168,12 +218,18 @@ fn heading(chart: &Chart, marks: &mut Vec<Mark>) {
     }
 }
 
-fn legend(curve: &Curve, colour: Colour, at: DVec2, marks: &mut Vec<Mark>) {
+fn legend(curve: &Curve, shown: bool, colour: Colour, at: DVec2, marks: &mut Vec<Mark>) {
     let middle = at - DVec2::Y * 0.5 * LETTER.y;
     let points = vec![middle, middle + DVec2::X * 34.0];
     marks.push(Mark::Line { points, colour, width: 2.5, dashed: curve.bias.is_some() });
     marks.push(Mark::Dot { at: middle + DVec2::X * 17.0, radius: 4.0, colour, filled: true });
-    let text = format!("{}{}", curve.name, if curve.bias.is_some() { " (biased)" } else { "" });
+    let remark = match (curve.bias.is_some(), shown) {
+        (true, true) => " (biased)",
+        (false, true) => "",
+        // Above the axis, or below what the reference can tell
+        (_, false) => " (not shown)",
+    };
+    let text = format!("{}{remark}", curve.name);
     let at = at + DVec2::X * 46.0;
     marks.push(Mark::Text { at, text, colour: BLACK, anchor: Anchor::Start });
 }
@@ -194,7 +250,7 @@ impl Panel {
             marks.push(Mark::Text { at: DVec2::new(x, y), text, colour: BLACK, anchor });
         };
         text(left, top - 40.0, title.to_owned(), Anchor::Start);
-        text(0.5 * (left + right), bottom + 48.0, below.to_owned(), Anchor::Middle);
+        text(0.5 * (left + right), bottom + 54.0, below.to_owned(), Anchor::Middle);
         if self.first {
             text(left - 12.0, top - 14.0, name.to_owned(), Anchor::End);
         }
@@ -203,7 +259,7 @@ impl Panel {
             let (at, label) = (self.x.at(tick), number(tick));
             let half = 0.5 * LETTER.x * label.len() as f64;
             if at - half > free {
-                text(at, bottom + 24.0, label, Anchor::Middle);
+                text(at, bottom + 30.0, label, Anchor::Middle);
                 free = at + half + LETTER.x;
             }
         }
@@ -225,8 +281,9 @@ impl Panel {
         line([left, bottom], [left, top], DARK, 2.0);
     }
 
-    /// A dashed line across at a value, with its name.
-    fn level(&self, value: f64, name: &str, colour: Colour, marks: &mut Vec<Mark>) {
+    /// A dashed line across at a value, with its name above or below it: on the left, where cheap
+    /// renderings leave the lower part free.
+    fn level(&self, value: f64, name: &str, above: bool, colour: Colour, marks: &mut Vec<Mark>) {
         if !self.y.holds(value) {
             return;
         }
@@ -234,12 +291,15 @@ impl Panel {
         let y = self.y.at(value);
         let points = vec![DVec2::new(left, y), DVec2::new(right, y)];
         marks.push(Mark::Line { points, colour, width: 1.5, dashed: true });
-        let at = DVec2::new(right - 4.0, y - 6.0);
-        marks.push(Mark::Text { at, text: name.to_owned(), colour, anchor: Anchor::End });
+        // Below the lowest line stand the numbers of the axis.
+        let above = above || y + 6.0 + LETTER.y > self.y.ends[0];
+        let at = DVec2::new(left + 6.0, if above { y - 6.0 } else { y + 6.0 + LETTER.y });
+        marks.push(Mark::Text { at, text: name.to_owned(), colour, anchor: Anchor::Start });
     }
 
+    /// `None` of what lies above the axis; what lies below it is at its foot.
     fn place(&self, point: &Point) -> Option<DVec2> {
-        let value = (self.value)(point)?;
+        let value = (self.value)(point).filter(|value| !self.y.ends_below(*value))?;
         Some(DVec2::new(self.x.at(point.cpu_seconds), self.y.at(value)))
     }
 
@@ -278,18 +338,47 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_axis_holds_its_values_between_whole_decades() {
-        let axis = Axis::new([0.03, 4.0, 0.0, f64::NAN].into_iter(), 6, [0.0, 300.0]);
-        assert_eq!(axis.decades, [-2, 1]);
-        assert!((axis.at(0.1) - 100.0).abs() < 1e-9 && axis.at(1e9) == 300.0);
-        assert_eq!(axis.ticks().len(), 4);
-        let few = Axis::new([0.3].into_iter(), 6, [0.0, 300.0]);
+    fn an_axis_holds_its_values_between_steps_of_one_two_and_five() {
+        let labels = |values: &[f64], most| {
+            let axis = Axis::new(values.iter().copied(), most, [0.0, 300.0]);
+            axis.ticks().into_iter().map(number).collect::<Vec<_>>()
+        };
         assert_eq!(
-            few.ticks().iter().map(|&t| number(t)).collect::<Vec<_>>(),
-            ["0.1", "0.2", "0.5", "1"]
+            labels(&[0.03, 4.0, 0.0, f64::NAN], 6),
+            ["0.02", "0.05", "0.1", "0.2", "0.5", "1", "2", "5"]
         );
-        assert_eq!(Axis::new([].into_iter(), 6, [0.0, 1.0]).decades, [-2, 0]);
-        assert_eq!(Axis::new([1e-9, 1.0].into_iter(), 5, [0.0, 1.0]).decades, [-5, 0]);
+        assert_eq!(labels(&[0.3], 6), ["0.1", "0.2", "0.5"]);
+        assert_eq!(labels(&[0.5], 6), ["0.1", "0.2", "0.5"]);
+        assert_eq!(labels(&[], 6), ["0.01", "0.02", "0.05", "0.1", "0.2", "0.5", "1"]);
+        assert_eq!(labels(&[1e-9, 1.0], 3), ["0.001", "0.01", "0.1", "1"]);
+        let axis = Axis::new([0.01, 10.0].into_iter(), 6, [0.0, 300.0]);
+        assert!((axis.at(0.1) - 100.0).abs() < 1e-9 && axis.at(1e9) == 300.0);
+    }
+
+    #[test]
+    fn what_was_not_asked_for_has_no_panel_and_what_is_hopeless_stretches_no_axis() {
+        let texts = |chart: &Chart| -> Vec<String> {
+            let text = |mark| match mark {
+                Mark::Text { text, .. } => Some(text),
+                Mark::Line { .. } | Mark::Dot { .. } => None,
+            };
+            marks(chart).into_iter().filter_map(text).collect()
+        };
+        let mut chart = chart();
+        let whole = texts(&chart);
+        for group in Group::ALL {
+            assert!(whole.iter().any(|text| text == group.title()), "{group:?}");
+        }
+        assert!(!whole.iter().any(|text| text == "500%"), "{whole:?}");
+        chart.curves.truncate(2);
+        for point in &mut chart.curves[1].points {
+            point.error = Some(3.0);
+        }
+        let some = texts(&chart);
+        assert!(some.iter().any(|text| text == Group::Methods.title()));
+        assert!(!some.iter().any(|text| text == Group::Depth.title()));
+        assert!(some.iter().any(|text| text == "two-pass (not shown)"), "{some:?}");
+        assert!(!some.iter().any(|text| text == "500%"), "{some:?}");
     }
 
     #[test]

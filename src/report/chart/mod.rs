@@ -69,7 +69,8 @@ pub struct Point {
     /// The same over the pixels that objects cover, and over the others.
     pub on_objects: Option<f64>,
     pub beside: Option<f64>,
-    /// Mean signed difference over the region, and its standard error if pixels err independently.
+    /// Mean signed difference over the region, and its standard error: see
+    /// [`Comparison`](crate::render::compare::Comparison).
     pub bias: f64,
     pub bias_sigma: f64,
 }
@@ -204,7 +205,7 @@ pub fn summary(chart: &Chart) -> String {
     ];
     for curve in &chart.curves {
         let Some(last) = curve.points.last() else { continue };
-        let error = last.error.map_or("below the reference's".to_owned(), percent);
+        let error = told(last.error, &chart.reference);
         lines.push(format!(
             "{:<24} error {error} in {:.2} CPU s, bias {} ± {}{}",
             curve.name,
@@ -215,15 +216,26 @@ pub fn summary(chart: &Chart) -> String {
         ));
     }
     if let Some(chosen) = &chart.chosen {
-        let error = chosen.error.map_or("below the reference's".to_owned(), percent);
+        let error = told(chosen.error, &chart.reference);
         lines.push(format!(
             "chosen     {}: error {error} in {:.2} CPU s",
             chart.stop, chosen.cpu_seconds
         ));
     }
-    lines.extend(chart.verdict.as_ref().map(|v| format!("verdict    {}", sentence(v))));
+    lines.extend(sentence(chart).map(|verdict| format!("verdict    {verdict}")));
     lines.extend(chart.notes.iter().map(|note| format!("note       {note}")));
     lines.join("\n")
+}
+
+/// An error in per cent; what is smaller than the reference's own is said to be.
+pub fn told(error: Option<f64>, reference: &Reference) -> String {
+    match error {
+        None => "below the reference's own".to_owned(),
+        Some(error) if error < reference.error => {
+            format!("{}, within the reference's own", super::text::per_cent(error))
+        }
+        Some(error) => super::text::per_cent(error),
+    }
 }
 
 fn signed(share: f64) -> String {
@@ -231,25 +243,24 @@ fn signed(share: f64) -> String {
     format!("{sign}{}", super::text::per_cent(share.abs()))
 }
 
-fn sentence(verdict: &Verdict) -> String {
-    let percent = super::text::per_cent;
+/// The chart's verdict in words, if it has one.
+fn sentence(chart: &Chart) -> Option<String> {
+    let verdict = chart.verdict.as_ref()?;
     let at = format!("at {:.2} CPU s", verdict.cpu_seconds);
     let how = if verdict.extrapolated { " if its last rendering went on" } else { "" };
-    if verdict.ratio() <= 1.0 {
-        return format!(
-            "{at} no unbiased method has less error than the shot's settings ({}; next is {}, {}{how})",
-            percent(verdict.error),
-            verdict.best,
-            percent(verdict.best_error)
-        );
-    }
-    format!(
-        "{at} the shot's settings have {:.2} times the error of the best unbiased method ({}; {}, {}{how})",
-        verdict.ratio(),
-        percent(verdict.error),
-        verdict.best,
-        percent(verdict.best_error)
-    )
+    let [own, best] =
+        [verdict.error, verdict.best_error].map(|error| told(Some(error), &chart.reference));
+    let name = verdict.best;
+    Some(match verdict.ratio() {
+        ratio if ratio <= 1.0 => format!(
+            "{at} no unbiased method has less error than the shot's settings ({own}; next is {name}, \
+             {best}{how})"
+        ),
+        ratio => format!(
+            "{at} the shot's settings have {ratio:.2} times the error of the best unbiased method \
+             ({own}; {name}, {best}{how})"
+        ),
+    })
 }
 
 #[cfg(test)]
@@ -324,5 +335,17 @@ pub(super) mod tests {
         for told in ["two-pass", "depth-1", "reflected light", "no unbiased method", "a note"] {
             assert!(text.contains(told), "{told}: {text}");
         }
+        assert!(!text.contains("within the reference's own"), "{text}");
+    }
+
+    #[test]
+    fn errors_that_the_reference_cannot_tell_are_said_to_be_within_its_own() {
+        let chart = Chart { reference: Reference { error: 0.015, ..chart().reference }, ..chart() };
+        let text = summary(&chart);
+        let line = |start: &str| text.lines().find(|line| line.starts_with(start)).unwrap();
+        assert!(line("chosen").contains("error 1.0 %, within the reference's own in"), "{text}");
+        assert!(line("two-pass").contains("error 2.2 % in"), "{text}");
+        assert!(line("verdict").contains("(1.0 %, within the reference's own; next"), "{text}");
+        assert_eq!(told(None, &chart.reference), "below the reference's own");
     }
 }

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use maud::{DOCTYPE, Markup, html};
 
-use super::{Chart, Curve, Point, sentence, signed};
+use super::{Chart, Curve, Point, Reference, sentence, signed, told};
 use crate::report::ReportError;
 use crate::report::html;
 use crate::report::text::per_cent;
@@ -28,7 +28,7 @@ fn page(chart: &Chart, curves: &str, crops: &str) -> Markup {
             (html::head(&title, "body{max-width:1400px}.paper{background:#fff}"))
             body {
                 h1 { (title) }
-                @if let Some(verdict) = &chart.verdict { p { (sentence(verdict)) "." } }
+                @if let Some(verdict) = sentence(chart) { p { (verdict) "." } }
                 p.note {
                     (width) " × " (height) " px, 1/" (chart.reduced) " of the plate. The reference, the \
                     default method without denoising, is good to " (per_cent(chart.reference.error))
@@ -38,13 +38,18 @@ fn page(chart: &Chart, curves: &str, crops: &str) -> Markup {
                 }
                 @for note in &chart.notes { p.note { (note) } }
                 figure { img.paper src=(curves) alt="error and bias over CPU seconds"; }
-                h2 { "At equal time" }
+                h2 { "The same part by every method" }
                 figure {
                     img src=(crops) alt="the same part of the picture by every method";
-                    figcaption { "Each method's rendering whose cost is nearest to the others'." }
+                    figcaption { "Of each method the rendering whose cost is nearest to the others'; the costs stand below." }
                 }
                 h2 { "Numbers" }
                 (table(chart))
+                p.note {
+                    "± is one standard error of the bias, from what tiles of 16 × 16 px err apart from each \
+                    other. The reference's own noise is in it, and the same for all methods. Light that a \
+                    method has not found yet, a small sun by BSDF draws alone, is not."
+                }
                 p.note { (chart.program) ", seed " (chart.seed) }
             }
         }
@@ -56,18 +61,18 @@ fn table(chart: &Chart) -> Markup {
         table {
             tr { th { "method" } th { "CPU s" } th { "error" } th { "it states" } th { "bias" } th { "what it does" } }
             @for curve in &chart.curves {
-                @for (k, point) in curve.points.iter().enumerate() { (row(curve, point, k == 0)) }
+                @for (k, point) in curve.points.iter().enumerate() { (row(curve, point, &chart.reference, k == 0)) }
             }
         }
     }
 }
 
-fn row(curve: &Curve, point: &Point, first: bool) -> Markup {
+fn row(curve: &Curve, point: &Point, reference: &Reference, first: bool) -> Markup {
     html! {
         tr {
             td { @if first { b { (curve.name) } } }
             td.n { (format!("{:.2}", point.cpu_seconds)) }
-            td.n { (point.error.map_or("below the reference's".to_owned(), per_cent)) }
+            td.n { (told(point.error, reference)) }
             td.n { (per_cent(point.stated)) }
             td.n { (signed(point.bias)) " ± " (per_cent(point.bias_sigma)) }
             td { @if first {

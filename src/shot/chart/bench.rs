@@ -34,15 +34,26 @@ struct Small<'a> {
     camera: Camera,
 }
 
+/// Where a rendering ends.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Aim {
+    /// With the first samples that stay, right after the pilot: whatever the error, this is the least
+    /// that a method can do.
+    Least,
+    Stop(Stop),
+}
+
 /// A rendering, and what it cost.
 pub struct Rendering {
     pub difference: Difference,
     /// The error that the method states.
     pub stated: f64,
     pub samples: u64,
-    /// For the waves alone.
+    /// On the clock, for the waves alone.
     pub seconds: f64,
     pub cpu_seconds: f64,
+    /// On the clock, of the first wave: what does not grow with the samples.
+    pub first_wave_seconds: f64,
     /// On the clock, to build what the waves need.
     pub setup_seconds: f64,
 }
@@ -78,27 +89,36 @@ impl<'a> Bench<'a> {
         blocked.resolved(&self.small.prepared.light.lights, &self.groundwork.cells)
     }
 
-    /// Renders until `stop`; `None` if the context was over first. `watch` hears how it goes on.
+    /// Renders toward `aim`; `None` if the context was over first. `watch` hears how it goes on.
     pub fn render(
         &self,
         row: &Row,
-        stop: Stop,
+        aim: Aim,
         context: &Context,
         watch: Option<&dyn Watch>,
     ) -> Result<Option<Rendering>, RenderError> {
+        let stop = match aim {
+            // The least is planned for, and only what changes the plate by less than 10 % left out
+            Aim::Least => Stop::Error(1.0),
+            Aim::Stop(stop) => stop,
+        };
         let begin = Instant::now();
         let job = self.small.job(stop, row.denoise, row.technique);
         let mut integrator = integrator_on(Some(&self.groundwork), row.method, job)?;
         let setup_seconds = begin.elapsed().as_secs_f64();
         let (begin, worked) = (Instant::now(), thread_seconds());
         let mut samples = 0;
+        let mut first_wave_seconds = None;
         let wave = loop {
             let wave = integrator.next_wave(context);
+            let is_pilot = first_wave_seconds.is_none();
+            first_wave_seconds.get_or_insert(begin.elapsed().as_secs_f64());
             samples += wave.samples;
             if let Some(watch) = watch {
                 watch.progress(wave.done, wave.error);
             }
-            if wave.finished() || context.is_over() {
+            let is_least = aim == Aim::Least && !is_pilot;
+            if wave.finished() || context.is_over() || is_least {
                 break wave;
             }
         };
@@ -115,6 +135,7 @@ impl<'a> Bench<'a> {
             samples,
             seconds,
             cpu_seconds: cpu_seconds.max(1e-4),
+            first_wave_seconds: first_wave_seconds.unwrap_or(seconds),
             setup_seconds,
         }))
     }

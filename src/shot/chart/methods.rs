@@ -22,6 +22,8 @@ pub struct Row {
 /// The shot's own settings.
 pub const AUTO: &str = "auto";
 
+/// What the denoiser leaves out, or adds.
+pub const MOVED: &str = "what the filter moves between pixels";
 const PATCHES: &str = "shadows are sums of hard ones";
 const DEPTHS: [(&str, u32, &str, &str); 4] = [
     (
@@ -77,7 +79,7 @@ pub fn all() -> Vec<Row> {
             name: "denoised",
             denoise: true,
             does: "the default, filtered where two halves of the samples prove it better",
-            bias: Some("what the filter moves between pixels"),
+            bias: Some(MOVED),
             ..coupled
         },
     ];
@@ -150,34 +152,62 @@ pub fn named(names: &[String]) -> Result<Vec<Row>, String> {
     Ok(rows.into_iter().filter(wanted).collect())
 }
 
-/// Takes out rows that come out as an earlier row or `auto` does, where `resolved` says what a choice
-/// comes to; returns how they are called and what they equal.
-pub fn without_repeats(
-    auto: &Row,
-    rows: Vec<Row>,
-    resolved: impl Fn(Blocked) -> Blocked,
-) -> (Vec<Row>, Vec<(&'static str, &'static str)>) {
+/// What is left of the rows asked for, and what is to be said of the others.
+pub struct Sorted {
+    pub kept: Vec<Row>,
+    /// Names of rows that come out as another one does, with that one's.
+    pub repeats: Vec<(&'static str, &'static str)>,
+    /// Names of rows whose way to blocked light cannot be gone here.
+    pub impossible: Vec<&'static str>,
+}
+
+impl Sorted {
+    /// A sentence for each that is left out.
+    pub fn notes(&self) -> Vec<String> {
+        let same =
+            self.repeats.iter().map(|(name, other)| format!("{name} is what {other} does here"));
+        let names = self.impossible.join(", ");
+        let none = (!self.impossible.is_empty()).then(|| {
+            format!(
+                "left out: {names}; they need light that comes from the same directions everywhere, as that \
+                 of near walls does not"
+            )
+        });
+        same.chain(none).collect()
+    }
+}
+
+/// Takes out rows that come out as an earlier row or `auto` does, or cannot be had, where `resolved` says
+/// what a choice comes to.
+pub fn sort(auto: &Row, rows: Vec<Row>, resolved: impl Fn(Blocked) -> Blocked) -> Sorted {
     let does = |row: &Row| {
         let blocked = resolved(row.technique.blocked);
         (row.method, Technique { blocked, ..row.technique }, row.denoise)
     };
     let mut kept: Vec<Row> = Vec::new();
-    let mut repeats = Vec::new();
+    let (mut repeats, mut impossible) = (Vec::new(), Vec::new());
     for row in rows {
+        let asked = row.technique.blocked;
+        if asked != Blocked::Auto && resolved(asked) != asked {
+            impossible.push(row.name);
+            continue;
+        }
         let same = std::iter::once(auto).chain(&kept).find(|other| does(other) == does(&row));
         match same {
             Some(other) => repeats.push((row.name, other.name)),
             None => kept.push(row),
         }
     }
-    (kept, repeats)
+    Sorted { kept, repeats, impossible }
 }
 
 #[cfg(test)]
 mod tests {
+    use glam::Vec3;
+
     use super::*;
     use crate::conventions::Rgb;
-    use crate::light::{Cells, Environment, Lights};
+    use crate::light::{Cells, Environment, Lights, Proxy};
     use crate::render::blocked::CELLS;
 
     #[test]
@@ -209,10 +239,26 @@ mod tests {
         let lights = Lights::from_parts(Environment::constant(Rgb::ONE), Vec::new());
         let cells = Cells::new(&lights, CELLS);
         let auto = Row { name: AUTO, ..coupled() };
-        let (kept, repeats) =
-            without_repeats(&auto, all(), |blocked| blocked.resolved(&lights, &cells));
+        let sorted = sort(&auto, all(), |blocked| blocked.resolved(&lights, &cells));
         // A constant sky has no suns: cells pay.
-        assert_eq!(repeats, [("coupled", AUTO), ("cells", AUTO)]);
-        assert_eq!(kept.len(), all().len() - 2);
+        assert_eq!(sorted.repeats, [("coupled", AUTO), ("cells", AUTO)]);
+        assert_eq!(sorted.kept.len(), all().len() - 2);
+    }
+
+    #[test]
+    fn lists_of_lights_that_near_walls_forbid_are_not_said_to_be_what_auto_does() {
+        let walls = Proxy::of_box(Vec3::ZERO, Vec3::splat(-2.0), Vec3::splat(2.0));
+        let lights = Lights::from_parts(Environment::constant(Rgb::ONE), Vec::new());
+        let lights = lights.near(Vec3::ZERO, walls, Vec::new());
+        let cells = Cells::new(&lights, CELLS);
+        let auto = Row { name: AUTO, ..coupled() };
+        let sorted = sort(&auto, all(), |blocked| blocked.resolved(&lights, &cells));
+        assert_eq!(sorted.repeats, [("coupled", AUTO), ("no-cells", AUTO)]);
+        assert_eq!(sorted.impossible.len(), 7, "{:?}", sorted.impossible);
+        let said = sorted.notes().join("\n");
+        assert!(
+            said.contains("left out: cells, patches-64") && said.contains("near walls"),
+            "{said}"
+        );
     }
 }

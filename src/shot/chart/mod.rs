@@ -18,11 +18,11 @@ pub use methods::{Row, all, named};
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use bench::{Bench, Rendering};
+use bench::{Aim, Bench, Rendering};
 use contest::Contest;
-use methods::{AUTO, coupled};
+use methods::{AUTO, MOVED, coupled};
 use pictures::{Crop, Window};
-use size::bench_and_rows;
+use size::{bench_and_rows, check_scale};
 
 use super::existing::PROGRAM;
 use super::file::{DenoiseKeys, ShotFile};
@@ -80,26 +80,29 @@ pub fn chart(
     }
     let mut stopwatch = Stopwatch::new();
     stopwatch.begin("read the shot", watch);
-    let mut plan = checked_plan(shot, out)?;
+    let mut plan = checked_plan(shot, out, options)?;
     let prepared = prepare(&mut plan, &mut stopwatch, context, watch)?;
 
     stopwatch.begin("choose the size", watch);
-    let left = options.seconds - begin.elapsed().as_secs_f64() - WRITING;
-    let seconds = left.max(0.2 * options.seconds);
+    // However long the preparation took, a chart is what was asked for
+    let left =
+        || (options.seconds - begin.elapsed().as_secs_f64() - WRITING).max(0.2 * options.seconds);
     let auto = auto(&plan, &prepared);
-    let (bench, rows, repeats) =
-        bench_and_rows(&plan, &prepared, &auto, options, seconds, context)?;
-    notes.extend(repeats.iter().map(|(name, other)| format!("{name} is what {other} does here")));
-    let end = Instant::now() + Duration::from_secs_f64(seconds.min(1e6));
+    let (bench, rows, left_out) =
+        bench_and_rows(&plan, &prepared, &auto, options, left(), context)?;
+    notes.extend(left_out);
+    let round = rows.len() as f64 * least_seconds(&bench, &auto, context)?;
+    let shares = Shares::of(left(), round);
+    let end = Instant::now() + Duration::from_secs_f64(left().min(1e6));
 
     stopwatch.begin("reference", watch);
-    let (region, reference) = reference(&bench, REFERENCE_SHARE * seconds, context, watch)?;
+    let (region, reference) = reference(&bench, shares.reference, context, watch)?;
     let window = Window::around(&region, bench.plate());
 
     stopwatch.begin("methods", watch);
     let keys = plan.shot.render.stop;
-    let limited = context.until(after(CHOSEN_SHARE * seconds));
-    let chosen = bench.render(&auto, stop(keys, bench.reduced()), &limited, None)?;
+    let limited = context.until(after(shares.chosen));
+    let chosen = bench.render(&auto, Aim::Stop(stop_at(&plan, bench.reduced())), &limited, None)?;
     if chosen.is_none() {
         notes.push(format!(
             "{keys} is not reached in the time that a chart has for it; give more --time or a smaller \
@@ -144,9 +147,10 @@ pub fn chart(
 }
 
 /// Everything that can be wrong before any work.
-fn checked_plan(shot: ShotFile, out: &Path) -> Result<Plan, RunError> {
+fn checked_plan(shot: ShotFile, out: &Path, options: &ChartOptions) -> Result<Plan, RunError> {
     check_folder(out)?;
     let plan = Plan::make(shot).map_err(RunError::Problems)?;
+    check_scale(&plan, options.reduced).map_err(|problem| RunError::Problems(vec![problem]))?;
     refuse_to_overwrite(out, plan.inputs.iter(), pictures::is_result)?;
     if plan.objects.is_empty() {
         let path = plan.shot.path.display();
@@ -157,16 +161,46 @@ fn checked_plan(shot: ShotFile, out: &Path) -> Result<Plan, RunError> {
     Ok(plan)
 }
 
+/// Seconds of the clock for what is rendered before all methods are in turn.
+struct Shares {
+    reference: f64,
+    /// At most.
+    chosen: f64,
+}
+
+impl Shares {
+    /// Of `seconds`, of which the least rendering of every method takes about `round`.
+    fn of(seconds: f64, round: f64) -> Self {
+        /// Some methods cost more than the default, whose cost is known.
+        const MARGIN: f64 = 1.3;
+        let both = REFERENCE_SHARE + CHOSEN_SHARE;
+        let free = (both * seconds).min(seconds - MARGIN * round);
+        let reference = free * REFERENCE_SHARE / both;
+        Self {
+            reference: reference.max(LEAST_REFERENCE),
+            chosen: (free * CHOSEN_SHARE / both).max(0.5 * LEAST_REFERENCE),
+        }
+    }
+}
+
+/// Seconds of the clock that the least rendering of a method takes, with what is built for it.
+fn least_seconds(bench: &Bench, row: &Row, context: &Context) -> Result<f64, RunError> {
+    let rendering = bench.render(row, Aim::Least, context, None)?;
+    let rendering = rendering.ok_or(RunError::Interrupted)?;
+    Ok(rendering.setup_seconds + rendering.seconds)
+}
+
 /// The shot's own settings as a row.
 fn auto(plan: &Plan, prepared: &Prepared) -> Row {
+    let denoise = plan.shot.render.denoise == DenoiseKeys::Auto;
     Row {
         name: AUTO,
         group: Group::Methods,
         does: "what the shot's settings choose",
         method: prepared.method,
         technique: Technique::default(),
-        denoise: plan.shot.render.denoise == DenoiseKeys::Auto,
-        bias: None,
+        denoise,
+        bias: denoise.then_some(MOVED),
     }
 }
 
@@ -181,9 +215,9 @@ fn described(row: &Row, bench: &Bench) -> String {
     format!("{}{blocked}{denoised}", method_name(row.method))
 }
 
-/// The stopping rule at the reduced size: a time is shared by fewer pixels.
-fn stop(keys: StopKeys, reduced: usize) -> Stop {
-    match keys {
+/// The shot's stopping rule at the reduced size: a time is shared by fewer pixels.
+fn stop_at(plan: &Plan, reduced: usize) -> Stop {
+    match plan.shot.render.stop {
         StopKeys::Error(error) => Stop::Error(error),
         StopKeys::Samples(samples) => Stop::Samples(samples),
         StopKeys::Time(seconds) => Stop::TimeSeconds(seconds / (reduced * reduced) as f64),
@@ -203,9 +237,9 @@ fn reference(
     watch: &dyn Watch,
 ) -> Result<(Region, Rendering), RunError> {
     let other = context.with_seed(context.seed ^ REFERENCE_SEED);
-    let stop = Stop::TimeSeconds(seconds.max(LEAST_REFERENCE));
+    let aim = Aim::Stop(Stop::TimeSeconds(seconds));
     let rendering =
-        bench.render(&coupled(), stop, &other, Some(watch))?.filter(|_| !context.is_cancelled());
+        bench.render(&coupled(), aim, &other, Some(watch))?.filter(|_| !context.is_cancelled());
     let Some(rendering) = rendering else {
         return Err(if context.is_cancelled() { RunError::Interrupted } else { too_short() });
     };

@@ -8,6 +8,7 @@ use crate::photo::tone::{ToneCurve, automatic_stops, display};
 use crate::photo::{Image, Photo, Samples};
 use crate::render::compare::Region;
 use crate::report::chart::{Chart, Tile, canvas, contact_sheet, write_csv, write_page, write_svg};
+use crate::report::per_cent;
 use crate::shot::run::RunError;
 use crate::shot::watch::Watch;
 use crate::shot::write;
@@ -105,17 +106,24 @@ fn tiles(chart: &Chart, plate: &Photo, reference: Crop, crops: &[Vec<Crop>]) -> 
     let common = crops.iter().map(dearest).fold(f64::INFINITY, f64::min);
     let first = Tile {
         picture: shown(&reference),
-        lines: vec!["reference".to_owned(), cost(chart.reference.error, &reference)],
+        lines: vec![
+            "reference".to_owned(),
+            format!("{}, {}", per_cent(chart.reference.error), cost(&reference)),
+        ],
     };
     let rest = chart.curves.iter().zip(crops).filter_map(|(curve, crops)| {
         let off = |crop: &Crop| (crop.cpu_seconds / common).ln().abs();
         let (k, crop) = crops.iter().enumerate().min_by(|a, b| off(a.1).total_cmp(&off(b.1)))?;
-        let lines = vec![curve.name.to_owned(), cost(curve.points[k].error.unwrap_or(0.0), crop)];
+        let error = match curve.points[k].error {
+            Some(error) if error >= chart.reference.error => per_cent(error),
+            _ => "as reference".to_owned(),
+        };
+        let lines = vec![curve.name.to_owned(), format!("{error}, {}", cost(crop))];
         Some(Tile { picture: shown(crop), lines })
     });
     std::iter::once(first).chain(rest).collect()
 }
 
-fn cost(error: f64, crop: &Crop) -> String {
-    format!("{:.2}%, {:.2} CPU s", 100.0 * error, crop.cpu_seconds)
+fn cost(crop: &Crop) -> String {
+    format!("{:.2} CPU s", crop.cpu_seconds)
 }

@@ -51,12 +51,17 @@ pub fn reference_note(
     let points = curves.iter().flat_map(|curve| &curve.points).chain(chosen);
     let best = points.filter_map(|point| point.error).reduce(f64::min)?;
     let times = best / reference.error.max(1e-12);
-    (times < 10.0).then(|| {
-        format!(
-            "the best error plotted is {times:.1} times the reference's own, which is taken out of it; \
-             more --time makes the reference better"
-        )
-    })
+    let found = match times {
+        times if times < 1.0 => format!(
+            "the best error lies within the reference's own ({times:.2} of it): how good the best are, \
+             nobody can tell"
+        ),
+        times if times < 10.0 => format!(
+            "the best error plotted is {times:.1} times the reference's own, which is taken out of it"
+        ),
+        _ => return None,
+    };
+    Some(format!("{found}; more --time makes the reference better"))
 }
 
 #[cfg(test)]
@@ -104,5 +109,19 @@ mod tests {
         let dear = Point { cpu_seconds: 8.0, ..curves[0].points[2] };
         assert!(verdict(&curves, Some(&dear)).unwrap().extrapolated);
         assert!(verdict(&curves[..1], None).is_none());
+    }
+
+    #[test]
+    fn the_reference_s_own_error_is_held_against_all_that_is_plotted() {
+        let curves = [curve("auto", 0.02, None)];
+        let reference = |error| Reference { error, ..Reference::default() };
+        let best = 0.02 / 2.0_f64.sqrt();
+        assert_eq!(reference_note(&curves, None, &reference(0.05 * best)), None);
+        let near = reference_note(&curves, None, &reference(0.5 * best)).unwrap();
+        assert!(near.contains("2.0 times the reference's own"), "{near}");
+        // The ring may lie lower than any curve.
+        let chosen = Point { error: Some(0.1 * best), ..curves[0].points[2] };
+        let within = reference_note(&curves, Some(&chosen), &reference(0.2 * best)).unwrap();
+        assert!(within.contains("within the reference's own"), "{within}");
     }
 }
