@@ -6,7 +6,6 @@
 
 use std::path::{Path, PathBuf};
 
-use glam::DVec3;
 use serde::Serialize;
 use toml::de::DeTable;
 
@@ -267,7 +266,7 @@ fn read_root(root: &Keys, path: &Path, folder: &Path) -> Option<ShotFile> {
         .table("surroundings", Surroundings::KEYS)
         .and_then(|keys| Surroundings::read(&keys, folder));
     let lamps = root.tables("lamp", Lamp::KEYS);
-    let lamps = read_lamps(&lamps);
+    let lamps = Lamp::read_all(&lamps);
     let support = section("support", SUPPORT, "add [support] with plane = { size = [3.0, 3.0] }")
         .and_then(|keys| read_support(&keys, folder));
     let local = root.tables("local", LOCAL);
@@ -304,29 +303,6 @@ fn read_root(root: &Keys, path: &Path, folder: &Path) -> Option<ShotFile> {
         composite,
         output: Output { layers },
     })
-}
-
-/// Lamps, none of which has its centre in another.
-fn read_lamps(tables: &[Keys]) -> Vec<Lamp> {
-    let mut lamps: Vec<Lamp> = Vec::with_capacity(tables.len());
-    for keys in tables {
-        let Some(lamp) = Lamp::read(keys) else { continue };
-        let stands_in = |other: &Lamp| {
-            let apart = DVec3::from(other.at).distance(lamp.at.into());
-            apart < other.radius.max(lamp.radius)
-        };
-        if let Some(k) = lamps.iter().position(stands_in) {
-            keys.problem(
-                "at",
-                &format!(
-                    "is inside lamp[{k}], or that one inside this: the panorama shows one lamp there; \
-                     correct one of the places, or take one out"
-                ),
-            );
-        }
-        lamps.push(lamp);
-    }
-    lamps
 }
 
 const PLATE: &[&str] = &["file", "frames", "fps", "colour", "exposure", "relative_exposure"];

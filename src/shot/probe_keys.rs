@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use glam::DVec3;
 use serde::Serialize;
 
 use super::camera_keys::{CameraKeys, CameraSource, ExposureKeys, PoseSource};
@@ -329,6 +330,25 @@ const LAMP_RADII_M: std::ops::RangeInclusive<f64> = 1e-4..=100.0;
 
 impl Lamp {
     pub const KEYS: &[&str] = &["at", "radius"];
+
+    /// All lamps, none of which may have its centre in another.
+    pub fn read_all(tables: &[Keys]) -> Vec<Self> {
+        let mut lamps: Vec<Self> = Vec::with_capacity(tables.len());
+        for keys in tables {
+            let Some(lamp) = Self::read(keys) else { continue };
+            let apart = |other: &Self| DVec3::from(other.at).distance(lamp.at.into());
+            let stands_in = |other: &Self| apart(other) < other.radius.max(lamp.radius);
+            if let Some(k) = lamps.iter().position(stands_in) {
+                let cause = format!(
+                    "is inside lamp[{k}], or that one inside this: the panorama shows one lamp there; \
+                     correct one of the places, or take one out"
+                );
+                keys.problem("at", &cause);
+            }
+            lamps.push(lamp);
+        }
+        lamps
+    }
 
     pub fn read(keys: &Keys) -> Option<Self> {
         let at = keys.need("at", keys.place("at"), "give its centre in metres");
