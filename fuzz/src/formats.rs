@@ -117,6 +117,9 @@ fn mesh(name: &str, bytes: &[u8], beside: Option<(&str, &str)>) {
 fn judge(path: &Path, result: Result<Model, SceneError>) {
     match result {
         Ok(model) => {
+            for repeat in &model.repeats {
+                assert!(repeat.mesh < model.meshes.len() && repeat.moved.is_finite());
+            }
             for mesh in &model.meshes {
                 assert!(mesh.positions.iter().all(|p| p.is_finite()));
                 let n = mesh.positions.len();

@@ -4,7 +4,7 @@
 //! follows about t with 2R − 2 degrees of freedom; the largest |z| over all pixels and channels is
 //! compared with a bound at a family-wise level of 1 % (Šidák), the mean z with its own.
 
-use glam::Vec3;
+use glam::{DAffine3, DQuat, DVec3, Vec3};
 
 use super::near_tests::{plate_of_lit_ground, room, table_lamp};
 use super::test_scenes::*;
@@ -13,7 +13,7 @@ use crate::camera::Camera;
 use crate::conventions::Rgb;
 use crate::light::Lights;
 use crate::photo::Image;
-use crate::scene::{AlbedoSource, Clearcoat, Material, Scene, Sheen};
+use crate::scene::{AlbedoSource, Clearcoat, Material, Model, ModelMesh, Repeat, Scene, Sheen};
 
 const TWO_PASS: Method = Method::TwoPass { same_numbers: true };
 const WIDTH: usize = 24;
@@ -187,4 +187,58 @@ fn estimators_agree_under_a_sky_and_a_lamp() {
     let ball = sphere(Vec3::new(0.0, 0.2, 0.0), 0.2, 4);
     let scene = scene(vec![ball], matt(0.6), vec![local(ground(1.2), grey)]);
     assert_agreement("sky and lamp", &scene, &lights, &camera, &plate);
+}
+
+/// Spheres under the sun, the first one's mesh at more places: mirrored, stretched, one before another.
+fn many_spheres(is_instanced: bool) -> Scene {
+    let mesh = sphere(Vec3::new(0.0, 0.2, 0.0), 0.2, 4);
+    let places = [
+        (DVec3::new(1.0, 1.4, 0.6), 0.5, DVec3::new(-0.45, 0.0, 0.1)),
+        (DVec3::new(-0.7, 0.7, 1.0), -0.8, DVec3::new(0.4, 0.05, -0.2)),
+        (DVec3::splat(0.5), 1.5, DVec3::new(0.2, 0.0, 0.35)),
+    ];
+    let moved = places.map(|(scale, angle, translation)| {
+        let turn = DQuat::from_rotation_z(angle);
+        DAffine3::from_scale_rotation_translation(scale, turn, translation)
+    });
+    let mut model = Model {
+        meshes: vec![ModelMesh {
+            positions: mesh.positions.iter().map(|p| p.as_dvec3()).collect(),
+            normals: mesh.normals,
+            triangles: mesh.triangles,
+            ..ModelMesh::default()
+        }],
+        repeats: moved.map(|moved| Repeat { mesh: 0, moved }).to_vec(),
+        materials: vec![Material { roughness: 0.4, metallic: 0.5, ..Material::default() }],
+        ..Model::default()
+    };
+    if !is_instanced {
+        model = model.flattened().expect("three copies");
+    }
+    let mut scene = Scene::new(DVec3::ZERO);
+    scene.add_object(&model, &DAffine3::IDENTITY).expect("all is near");
+    scene.local.push(local(ground(3.0), AlbedoSource::Constant(Rgb::splat(0.5))));
+    scene.materials.push(matt(0.5));
+    scene
+}
+
+#[test]
+fn instances_look_as_copies_do() {
+    let (ours, copies) = (many_spheres(true), many_spheres(false));
+    assert_eq!((ours.instances.len(), copies.instances.len()), (3, 0));
+    let lights = sunny_sky(40.0, 2.0);
+    let (camera, plate) = (corner_camera(WIDTH, HEIGHT, 2.0), plate_of_ground(&lights, 0.5));
+    let a = render(&ours, &lights, &camera, &plate, Method::Coupled, 256, 31);
+    let b = render(&copies, &lights, &camera, &plate, Method::Coupled, 256, 32);
+    let z = scores(&a, &b);
+    let worst = z.iter().fold(0.0_f64, |m, z| m.max(z.abs()));
+    let mean = z.iter().sum::<f64>() / z.len() as f64;
+    // Bounds as in `assert_agreement`.
+    assert!(worst < 4.3, "worst z {worst}, mean {mean}");
+    assert!(mean.abs() < 3.3 / (z.len() as f64).sqrt(), "mean z {mean} of {}", z.len());
+    assert!(z.len() > 30, "{} blocks show something", z.len());
+    // The same numbers find the same outlines.
+    let c = render(&copies, &lights, &camera, &plate, Method::Coupled, 256, 31);
+    let off = a.coverage.pixels().iter().zip(c.coverage.pixels()).map(|(a, c)| (a - c).abs());
+    assert!(off.fold(0.0, f32::max) <= 2.0 / 256.0);
 }

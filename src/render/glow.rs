@@ -95,8 +95,10 @@ impl Glow {
     /// Density per steradian with which [`sample`](Self::sample) draws what a ray of unit `direction`
     /// has met.
     pub fn pdf(&self, scene: &Scene, direction: Vec3, hit: &Hit) -> f32 {
-        let by_triangle = &self.brightness[hit.mesh as usize];
-        let Some(brightness) = by_triangle.get(hit.triangle as usize) else { return 0.0 };
+        // Instances have no list: what shines is never one.
+        let by_triangle = self.brightness.get(hit.mesh as usize);
+        let brightness = by_triangle.and_then(|all| all.get(hit.triangle as usize));
+        let Some(brightness) = brightness else { return 0.0 };
         let [a, b, c] = scene.objects[hit.mesh as usize].corners(hit.triangle as usize);
         let cosine = (b - a).cross(c - a).normalize_or_zero().dot(direction).abs();
         if cosine < 1e-6 {

@@ -204,7 +204,7 @@ impl Cap {
 /// A ball around the objects' vertices.
 fn whole(world: &World) -> PartBall {
     let centre = world.objects.bounds().centre();
-    let vertices = world.scene.objects.iter().flat_map(|mesh| &mesh.positions);
+    let vertices = world.scene.all_objects().flat_map(|placed| placed.positions());
     let radius = vertices.map(|v| v.distance(centre)).fold(0.0, f32::max);
     PartBall { centre, radius: radius * (1.0 + 1e-5) }
 }

@@ -115,8 +115,7 @@ impl<'a> World<'a> {
     ) -> Self {
         let Groundwork { albedo, skylight, cells } = groundwork;
         let local_meshes: Vec<&Mesh> = scene.local.iter().map(|l| &l.mesh).collect();
-        let object_meshes: Vec<&Mesh> = scene.objects.iter().collect();
-        let (local, objects) = (Accel::build(&local_meshes), Accel::build(&object_meshes));
+        let (local, objects) = (Accel::build(&local_meshes), Accel::of_objects(scene));
         let parts = objects
             .parts(PARTS)
             .iter()

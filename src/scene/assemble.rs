@@ -3,7 +3,8 @@
 use glam::{DAffine3, DMat3, DVec2, DVec3, Vec2, Vec3, Vec4};
 
 use super::{
-    AlbedoSource, LocalMesh, LocalRole, Material, Mesh, Model, ModelMesh, Scene, SceneError,
+    AlbedoSource, Instance, LocalMesh, LocalRole, Material, Mesh, Model, ModelMesh, Scene,
+    SceneError,
 };
 
 /// World point in the middle of all placed models: the best origin of their scene. Zero for nothing.
@@ -32,7 +33,23 @@ impl Scene {
         let placed = self.object_names.len();
         let meshes = self.place(model, world_from_model, placed)?;
         self.object_names.push(model.name.clone());
+        let first = self.objects.len();
         self.objects.extend(meshes);
+        let placement = Placement::new(world_from_model, self.origin);
+        let scene_from_model = placement.scene_from_model;
+        let model_from_scene = scene_from_model.inverse();
+        for repeat in &model.repeats {
+            let of = first + repeat.mesh;
+            match Instance::new(of, scene_from_model * repeat.moved * model_from_scene) {
+                Some(instance) => self.instances.push(instance),
+                None => {
+                    let there = Placement::new(&(*world_from_model * repeat.moved), self.origin);
+                    let mesh = &model.meshes[repeat.mesh];
+                    let copy = there.mesh(mesh, placed, self.objects[of].material);
+                    self.objects.push(copy);
+                }
+            }
+        }
         Ok(placed)
     }
 
@@ -48,7 +65,11 @@ impl Scene {
         albedo: AlbedoSource,
     ) -> Result<usize, SceneError> {
         let placed = self.local_names.len();
-        let meshes = self.place(model, world_from_model, placed)?;
+        let meshes = if model.repeats.is_empty() {
+            self.place(model, world_from_model, placed)?
+        } else {
+            self.place(&model.clone().flattened()?, world_from_model, placed)?
+        };
         self.local_names.push(model.name.clone());
         self.local.extend(meshes.into_iter().map(|mesh| LocalMesh { mesh, role, albedo }));
         Ok(placed)
@@ -106,7 +127,7 @@ impl Scene {
         point.as_dvec3() + self.origin
     }
 
-    /// The model's meshes in the scene's frame; its materials and textures join the scene's.
+    /// The model's meshes, each once, in the scene's frame; its materials and textures join the scene's.
     fn place(
         &mut self,
         model: &Model,
@@ -178,17 +199,24 @@ pub(super) fn normal_matrix(matrix: &DMat3) -> Option<DMat3> {
 /// Unit normals; none if the map flattens.
 pub(super) fn transform_normals(normals: &[Vec3], matrix: Option<DMat3>) -> Vec<Vec3> {
     let Some(matrix) = matrix else { return Vec::new() };
-    let transform = |n: &Vec3| (matrix * n.as_dvec3()).normalize_or_zero().as_vec3();
-    normals.iter().map(transform).collect()
+    normals.iter().map(|&n| transform_normal(n, &matrix)).collect()
+}
+
+/// A unit normal, by a matrix of [`normal_matrix`].
+pub(super) fn transform_normal(normal: Vec3, matrix: &DMat3) -> Vec3 {
+    (*matrix * normal.as_dvec3()).normalize_or_zero().as_vec3()
 }
 
 pub(super) fn transform_tangents(tangents: &[Vec4], matrix: &DMat3) -> Vec<Vec4> {
+    tangents.iter().map(|&t| transform_tangent(t, matrix)).collect()
+}
+
+/// A unit tangent and its handedness, by the matrix of points.
+pub(super) fn transform_tangent(tangent: Vec4, matrix: &DMat3) -> Vec4 {
     // A mirror image turns handedness, as it turns the winding.
     let hand = if matrix.determinant() < 0.0 { -1.0 } else { 1.0 };
-    let transform = |t: &Vec4| {
-        (*matrix * t.truncate().as_dvec3()).normalize_or_zero().as_vec3().extend(hand * t.w)
-    };
-    tangents.iter().map(transform).collect()
+    let along = (*matrix * tangent.truncate().as_dvec3()).normalize_or_zero().as_vec3();
+    along.extend(hand * tangent.w)
 }
 
 /// The triangles, wound the other way if `mirrors`, so that counter-clockwise stays outside.

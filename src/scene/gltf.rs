@@ -6,6 +6,7 @@
 //! Skins and morph targets stay in their rest pose, with a warning; points, lines, cameras and lights
 //! are left out. Nothing outside the file's own folder is opened.
 
+use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -22,7 +23,7 @@ use super::gltf_extensions::{may_be_required, names, remarks};
 use super::gltf_instances::{self, INSTANCING};
 use super::gltf_material::MaterialReader;
 use super::gltf_place;
-use super::hierarchy::{Hierarchy, Local, Moves, Node, Part};
+use super::hierarchy::{Hierarchy, Local, Moves, Node, Part, Shape, arrange};
 use super::model::Played;
 use super::{Model, ModelMesh, SceneError};
 
@@ -60,6 +61,7 @@ fn read_with(path: &Path, animation: Option<Option<&str>>) -> Result<Model, Scen
             ..Model::default()
         },
         hierarchy: Hierarchy::default(),
+        shapes: HashMap::new(),
         n_vertices: 0,
     };
     reader.model.warnings.extend(extension_warnings);
@@ -137,8 +139,13 @@ struct Reader<'a> {
     material_numbers: Vec<Option<usize>>,
     model: Model,
     hierarchy: Hierarchy,
+    /// What each mesh is, by its number.
+    shapes: HashMap<usize, Vec<Arc<Shape>>>,
     n_vertices: usize,
 }
+
+/// Memory that one more place of a mesh takes at least, bytes.
+const PLACE_BYTES: usize = 1024;
 
 impl Reader<'_> {
     fn scene(&mut self, document: &gltf::Document) -> Result<(), SceneError> {
@@ -188,12 +195,8 @@ impl Reader<'_> {
         let parts = self.hierarchy.parts.split_off(first);
         let Node { number, .. } = self.hierarchy.nodes[node];
         let what = format!("nodes[{number}].extensions.{INSTANCING}");
-        let size = size_of::<Node>() + parts.iter().map(Part::n_bytes).sum::<usize>();
+        let size = size_of::<Node>() + PLACE_BYTES * parts.len();
         self.buffers.budget.take(places.len(), size, &what)?;
-        // The first is the one that was counted when it was read.
-        let n: usize =
-            parts.iter().map(|part| part.mesh.positions.len() + part.mesh.triangles.len()).sum();
-        self.count_vertices(n.saturating_mul(places.len().saturating_sub(1)), &what)?;
         for &rest in places {
             let moves = Moves::default();
             self.hierarchy.nodes.push(Node { number, parent: Some(node), rest, moves });
@@ -203,22 +206,35 @@ impl Reader<'_> {
         Ok(())
     }
 
+    /// Hangs a mesh on a node, reading it the first time.
     fn mesh(&mut self, node: &gltf::Node, mesh: &gltf::Mesh, own: usize) -> Result<(), SceneError> {
-        let place = match mesh.name() {
-            Some(name) => format!("meshes[{}] {name:?}", mesh.index()),
-            None => format!("meshes[{}]", mesh.index()),
-        };
-        if node.skin().is_some() {
-            self.warn(format!("{place}: its skin is ignored, it keeps the pose it is stored in"));
-        }
+        let name = mesh.name().or(node.name()).unwrap_or_default();
         // glTF ignores the node's transform for skinned meshes only together with the joints';
         // without them the node's is the best guess.
+        if node.skin().is_some() {
+            let place = mesh_place(mesh);
+            self.warn(format!("{place}: its skin is ignored, it keeps the pose it is stored in"));
+        }
+        if !self.shapes.contains_key(&mesh.index()) {
+            let read = self.shapes(mesh)?;
+            self.shapes.insert(mesh.index(), read);
+        }
+        let shapes = self.shapes.get(&mesh.index()).into_iter().flatten();
+        let parts = shapes.map(|shape| Part { node: own, name: name.into(), shape: shape.clone() });
+        self.hierarchy.parts.extend(parts);
+        Ok(())
+    }
+
+    /// What a mesh is made of.
+    fn shapes(&mut self, mesh: &gltf::Mesh) -> Result<Vec<Arc<Shape>>, SceneError> {
+        let place = mesh_place(mesh);
         if mesh.primitives().any(|p| p.morph_targets().len() > 0) {
             self.warn(format!("{place}: its morph targets are ignored"));
         }
+        let mut shapes = Vec::new();
         for primitive in mesh.primitives() {
             let place = format!("{place}.primitives[{}]", primitive.index());
-            if let Some(mut read) = self.primitive(&primitive, &place)? {
+            if let Some(read) = self.primitive(&primitive, &place)? {
                 for set in self.model.materials[read.material].uv_sets() {
                     if [&read.uvs, &read.second_uvs][set].is_empty() {
                         self.warn(format!(
@@ -226,11 +242,10 @@ impl Reader<'_> {
                         ));
                     }
                 }
-                read.name = mesh.name().or(node.name()).unwrap_or_default().into();
-                self.hierarchy.parts.push(Part { node: own, place, mesh: read });
+                shapes.push(Arc::new(Shape { place, mesh: read }));
             }
         }
-        Ok(())
+        Ok(shapes)
     }
 
     fn primitive(
@@ -373,11 +388,11 @@ impl Reader<'_> {
         } else {
             self.hierarchy.parts
         };
-        for part in parts {
-            let file_from_node = &placed[part.node];
-            let mesh = part.placed(file_from_node, &mut self.model.warnings);
-            self.model.meshes.push(mesh);
-        }
+        // Held by the parts alone now: what is copied for the last time is taken instead.
+        drop(self.shapes);
+        let Model { materials, warnings, .. } = &mut self.model;
+        let arranged = arrange(parts, &placed, materials, self.path, warnings)?;
+        (self.model.meshes, self.model.repeats) = (arranged.meshes, arranged.repeats);
         self.model.conclude();
         Ok(self.model)
     }
@@ -388,6 +403,13 @@ impl Reader<'_> {
 
     fn broken(&self, place: String, problem: String) -> SceneError {
         SceneError::Broken { path: self.path.into(), place, problem }
+    }
+}
+
+fn mesh_place(mesh: &gltf::Mesh) -> String {
+    match mesh.name() {
+        Some(name) => format!("meshes[{}] {name:?}", mesh.index()),
+        None => format!("meshes[{}]", mesh.index()),
     }
 }
 

@@ -25,6 +25,7 @@ mod gltf_place;
 #[cfg(test)]
 mod gltf_tests;
 pub mod hierarchy;
+pub mod instance;
 pub mod layers;
 pub mod material;
 pub mod mesh;
@@ -37,10 +38,11 @@ pub mod texture;
 
 pub use bounds::Bounds;
 pub use error::SceneError;
+pub use instance::{Instance, PlacedMesh};
 pub use layers::{Clearcoat, Sheen};
 pub use material::{AlphaMode, Material, SurfaceParameters, TextureRef};
 pub use mesh::Mesh;
-pub use model::{Model, ModelMesh};
+pub use model::{Model, ModelMesh, Repeat};
 pub use surface::{Place, Surface};
 pub use texture::{Texture, Wrap};
 
@@ -58,6 +60,8 @@ pub struct Scene {
     pub origin: DVec3,
     /// The inserted things: they exist only in the world *with*.
     pub objects: Vec<Mesh>,
+    /// Meshes of `objects` at more places; hits number them after `objects`, see [`Scene::object`].
+    pub instances: Vec<Instance>,
     /// The modelled real things: they exist in both worlds.
     pub local: Vec<LocalMesh>,
     pub materials: Vec<Material>,

@@ -8,7 +8,9 @@ use std::sync::Arc;
 
 use glam::{DAffine3, DMat3, DVec3, Vec2, Vec3, Vec4};
 
-use super::hierarchy::Hierarchy;
+use super::assemble::{normal_matrix, transform_normals, transform_tangents, turned};
+use super::buffers::MAX_ELEMENTS;
+use super::hierarchy::{Hierarchy, Part, arrange};
 use super::{Material, SceneError, Texture};
 use crate::conventions::FARTHEST_M;
 
@@ -21,6 +23,8 @@ pub struct Model {
     /// that were named and not found are among them, since the model changes when they appear.
     pub files: Vec<PathBuf>,
     pub meshes: Vec<ModelMesh>,
+    /// Some of the meshes once more, where many copies would fill the memory.
+    pub repeats: Vec<Repeat>,
     /// Never empty if `meshes` is not.
     pub materials: Vec<Material>,
     pub textures: Vec<Texture>,
@@ -30,6 +34,15 @@ pub struct Model {
     pub animations: Vec<String>,
     /// What moves in it, if it was read to be played and anything does.
     pub played: Option<Played>,
+}
+
+/// A mesh of a model at another place of it.
+#[derive(Clone, Copy, Debug)]
+pub struct Repeat {
+    /// Index into [`Model::meshes`].
+    pub mesh: usize,
+    /// Takes the mesh's points to where they are once more; it has an inverse.
+    pub moved: DAffine3,
 }
 
 /// A model's nodes and meshes before they were put in their places: see [`Model::at_time`].
@@ -58,16 +71,52 @@ pub struct ModelMesh {
 }
 
 impl Model {
+    /// All that can be seen, repeated ones too.
     pub fn n_triangles(&self) -> usize {
+        self.places().map(|(mesh, _)| mesh.triangles.len()).sum()
+    }
+
+    /// Those that take memory.
+    pub fn n_held_triangles(&self) -> usize {
         self.meshes.iter().map(|mesh| mesh.triangles.len()).sum()
+    }
+
+    /// Every mesh at each of its places, with what takes it there in the model's frame.
+    fn places(&self) -> impl Iterator<Item = (&ModelMesh, DAffine3)> {
+        let once = self.meshes.iter().map(|mesh| (mesh, DAffine3::IDENTITY));
+        once.chain(self.repeats.iter().map(|repeat| (&self.meshes[repeat.mesh], repeat.moved)))
+    }
+
+    /// The model with a copy of the mesh for every repetition.
+    ///
+    /// # Errors
+    /// [`SceneError::TooLarge`] where the copies are too many.
+    pub fn flattened(mut self) -> Result<Self, SceneError> {
+        let n: usize = self.places().map(|(m, _)| m.positions.len() + m.triangles.len()).sum();
+        if n > MAX_ELEMENTS && !self.repeats.is_empty() {
+            return Err(SceneError::TooLarge {
+                path: self.path().into(),
+                place: "a copy of its meshes for each of their places".into(),
+                found: format!("{n} vertices and triangles"),
+                limit: MAX_ELEMENTS.to_string(),
+                remedy: "simplify it: only objects are held once for all their places",
+            });
+        }
+        for Repeat { mesh, moved } in std::mem::take(&mut self.repeats) {
+            let mut copy = self.meshes[mesh].clone();
+            copy.transform(&moved);
+            self.meshes.push(copy);
+        }
+        Ok(self)
     }
 
     /// Lower and upper corner of the world box of all triangles once placed; `None` without any.
     pub fn bounds(&self, world_from_model: &DAffine3) -> Option<[DVec3; 2]> {
         let mut bounds: Option<[DVec3; 2]> = None;
-        for mesh in &self.meshes {
+        for (mesh, moved) in self.places() {
+            let world_from_mesh = *world_from_model * moved;
             for &index in mesh.triangles.iter().flatten() {
-                let p = world_from_model.transform_point3(mesh.positions[index as usize]);
+                let p = world_from_mesh.transform_point3(mesh.positions[index as usize]);
                 let [min, max] = bounds.unwrap_or([p, p]);
                 bounds = Some([min.min(p), max.max(p)]);
             }
@@ -95,18 +144,15 @@ impl Model {
         let hierarchy = &played.hierarchy;
         let placed = hierarchy.file_from_nodes(Some(time_s), self.path())?;
         let mut warnings = played.warnings.clone();
-        let mut meshes = Vec::with_capacity(hierarchy.parts.len());
-        for part in &hierarchy.parts {
-            let file_from_node = &placed[part.node];
-            // Scaled to nothing is how animations hide things: no news.
-            if !flattens_all(&file_from_node.matrix3) {
-                meshes.push(part.clone().placed(file_from_node, &mut warnings));
-            }
-        }
+        // Scaled to nothing is how animations hide things: no news.
+        let is_seen = |part: &&Part| !flattens_all(&placed[part.node].matrix3);
+        let parts = hierarchy.parts.iter().filter(is_seen).cloned().collect();
+        let arranged = arrange(parts, &placed, &self.materials, self.path(), &mut warnings)?;
         let mut model = Self {
             name: self.name.clone(),
             files: self.files.clone(),
-            meshes,
+            meshes: arranged.meshes,
+            repeats: arranged.repeats,
             materials: self.materials.clone(),
             textures: self.textures.clone(),
             warnings,
@@ -145,9 +191,10 @@ impl Model {
     /// # Errors
     /// [`SceneError::TooFar`] names the first mesh with a corner beyond [`FARTHEST_M`], or at no place at all.
     pub fn check_place(&self, world_from_model: &DAffine3) -> Result<(), SceneError> {
-        for mesh in &self.meshes {
+        for (mesh, moved) in self.places() {
+            let world_from_mesh = *world_from_model * moved;
             let distances =
-                mesh.positions.iter().map(|&p| world_from_model.transform_point3(p).length());
+                mesh.positions.iter().map(|&p| world_from_mesh.transform_point3(p).length());
             // NaN too is not near enough.
             if let Some(distance_m) = distances.into_iter().find(|d| !(*d <= FARTHEST_M)) {
                 let (model, mesh) = (self.name.clone(), mesh.name.clone());
@@ -192,6 +239,16 @@ fn flattens_all(matrix: &DMat3) -> bool {
 }
 
 impl ModelMesh {
+    /// Takes it to another place; what the place flattens loses its normals.
+    pub(super) fn transform(&mut self, moved: &DAffine3) {
+        for position in &mut self.positions {
+            *position = moved.transform_point3(*position);
+        }
+        self.normals = transform_normals(&self.normals, normal_matrix(&moved.matrix3));
+        self.tangents = transform_tangents(&self.tangents, &moved.matrix3);
+        self.triangles = turned(&self.triangles, moved.matrix3.determinant() < 0.0);
+    }
+
     /// Edges that no neighbour goes along in the other direction; 0 of a closed, evenly wound mesh.
     ///
     /// Corners at the same place are one, whatever their normals and texture coordinates.

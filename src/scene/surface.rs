@@ -2,7 +2,7 @@
 
 use glam::{Vec2, Vec3, Vec4};
 
-use super::{Mesh, Scene, SurfaceParameters, TextureRef};
+use super::{Mesh, PlacedMesh, Scene, SurfaceParameters, TextureRef};
 
 /// Which of the scene's two lists a mesh is in.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -32,7 +32,7 @@ pub struct Surface {
     pub uvs: [Vec2; 2],
     pub parameters: SurfaceParameters,
     pub place: Place,
-    /// Index into [`Scene::objects`] or [`Scene::local`].
+    /// Number of the object, see [`Scene::object`], or index into [`Scene::local`].
     pub mesh: u32,
     pub triangle: u32,
     /// Index into [`Scene::materials`].
@@ -52,39 +52,34 @@ impl Surface {
 }
 
 impl Scene {
-    /// The mesh at `index` of a list. Panics outside it.
-    pub fn mesh(&self, place: Place, index: usize) -> &Mesh {
-        match place {
-            Place::Object => &self.objects[index],
-            Place::Local => &self.local[index].mesh,
-        }
-    }
-
     /// Everything about the point with barycentric weights `u`, `v` of the second and third corner.
     ///
     /// `mesh` and `triangle` are those of a hit in the structure built over that list.
     /// Panics where the scene has no such triangle.
     pub fn surface(&self, place: Place, mesh: u32, triangle: u32, u: f32, v: f32) -> Surface {
         let index = mesh;
-        let mesh = self.mesh(place, index as usize);
+        let placed = self.placed(place, index);
+        let mesh = placed.mesh;
         let indices = mesh.triangles[triangle as usize].map(|i| i as usize);
-        let corners = indices.map(|i| mesh.positions[i]);
+        let corners = placed.corners(triangle as usize);
         let weights = [1.0 - u - v, u, v];
         let position = precise_position(corners, u, v);
-        let geometric_normal = flat_normal(corners);
+        let geometric_normal = placed.winding() * flat_normal(corners);
         let uvs = uvs_at(mesh, indices, weights);
         let material = &self.materials[mesh.material];
 
-        let interpolated = blend(&mesh.normals, indices, weights)
+        let interpolated = placed
+            .normals(indices)
+            .map(|normals| blended(normals, weights))
             .and_then(Vec3::try_normalize)
             .map_or(geometric_normal, |n| if n.dot(geometric_normal) < 0.0 { -n } else { n });
         let map = material.normal_texture.as_ref();
-        let frame = tangent_frame(mesh, map, indices, weights, corners, interpolated);
+        let frame = tangent_frame(&placed, map, indices, weights, corners, interpolated);
         let mapped = material.tangent_normal(&self.textures, uvs);
         let shading_normal = bent_normal(mapped, frame, geometric_normal);
         let coat_normal = material.clearcoat.as_ref().map_or(interpolated, |coat| {
             let map = coat.normal_texture.as_ref();
-            let frame = tangent_frame(mesh, map, indices, weights, corners, interpolated);
+            let frame = tangent_frame(&placed, map, indices, weights, corners, interpolated);
             bent_normal(coat.tangent_normal(&self.textures, uvs), frame, geometric_normal)
         });
         let (tangent, bitangent) = perpendicular(shading_normal, frame[0]);
@@ -102,13 +97,13 @@ impl Scene {
             mesh: index,
             triangle,
             material: mesh.material,
-            offset: ray_offset(corners, position),
+            offset: offset(&placed, triangle as usize, [u, v], corners, position),
         }
     }
 
     /// Share of the surface that is there (alpha), for the walk of a ray through masked leaves.
     pub fn alpha(&self, place: Place, mesh: u32, triangle: u32, u: f32, v: f32) -> f32 {
-        let mesh = self.mesh(place, mesh as usize);
+        let mesh = self.placed(place, mesh).mesh;
         let indices = mesh.triangles[triangle as usize].map(|i| i as usize);
         let weights = [1.0 - u - v, u, v];
         self.materials[mesh.material].alpha(
@@ -170,13 +165,33 @@ fn ray_offset(corners: [Vec3; 3], position: Vec3) -> f32 {
     32.0 / (1 << 24) as f32 * (reach + span).max(1e-6)
 }
 
+/// [`ray_offset`] where that test is made: an instance's in the frame of its mesh, into which the ray is
+/// rounded once more.
+fn offset(
+    placed: &PlacedMesh,
+    triangle: usize,
+    [u, v]: [f32; 2],
+    corners: [Vec3; 3],
+    position: Vec3,
+) -> f32 {
+    let here = ray_offset(corners, position);
+    let Some(instance) = placed.instance else { return here };
+    let own = placed.mesh.corners(triangle);
+    here.max(instance.stretch() * ray_offset(own, precise_position(own, u, v)))
+}
+
 fn blend<T>(values: &[T], indices: [usize; 3], weights: [f32; 3]) -> Option<T>
 where
     T: Copy + std::ops::Mul<f32, Output = T> + std::ops::Add<Output = T>,
 {
-    let [a, b, c] = indices;
-    let [wa, wb, wc] = weights;
-    (!values.is_empty()).then(|| values[a] * wa + values[b] * wb + values[c] * wc)
+    (!values.is_empty()).then(|| blended(indices.map(|i| values[i]), weights))
+}
+
+fn blended<T>([a, b, c]: [T; 3], [wa, wb, wc]: [f32; 3]) -> T
+where
+    T: Copy + std::ops::Mul<f32, Output = T> + std::ops::Add<Output = T>,
+{
+    a * wa + b * wb + c * wc
 }
 
 fn uvs_at(mesh: &Mesh, indices: [usize; 3], weights: [f32; 3]) -> [Vec2; 2] {
@@ -190,16 +205,16 @@ fn colour_at(mesh: &Mesh, indices: [usize; 3], weights: [f32; 3]) -> Vec4 {
 /// Tangent, bitangent, normal of the normal map: from the file's tangents, else from the direction
 /// in which its picture's u grows, else any.
 fn tangent_frame(
-    mesh: &Mesh,
+    placed: &PlacedMesh,
     map: Option<&TextureRef>,
     indices: [usize; 3],
     weights: [f32; 3],
     corners: [Vec3; 3],
     normal: Vec3,
 ) -> [Vec3; 3] {
-    let stored = blend(&mesh.tangents, indices, weights)
-        .map(|t| (t.truncate(), if t.w < 0.0 { -1.0 } else { 1.0 }));
-    let derived = || uv_tangent(picture_uvs(mesh, map, indices)?, corners, normal);
+    let stored = placed.tangents(indices).map(|tangents| blended(tangents, weights));
+    let stored = stored.map(|t| (t.truncate(), if t.w < 0.0 { -1.0 } else { 1.0 }));
+    let derived = || uv_tangent(picture_uvs(placed.mesh, map, indices)?, corners, normal);
     let (along, hand) = stored.or_else(derived).unwrap_or((Vec3::ZERO, 1.0));
     let (tangent, bitangent) = perpendicular(normal, along);
     [tangent, hand * bitangent, normal]

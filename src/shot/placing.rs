@@ -8,7 +8,7 @@ use super::place;
 use super::plan::Plan;
 use crate::camera::Camera;
 use crate::report::{Warning, length};
-use crate::scene::{LocalRole, Mesh, Scene};
+use crate::scene::{Bounds, LocalRole, PlacedMesh, Scene};
 use crate::trace::{Accel, Ray};
 
 /// Rays that look for an object in the picture and for the support below it, about.
@@ -33,11 +33,11 @@ pub struct Judged {
 
 /// Judges where the objects stand. `local` is built over the meshes of `scene.local`, in their order.
 pub fn judge(plan: &Plan, scene: &Scene, camera: &Camera, local: &Accel) -> Judged {
-    let objects: Vec<&Mesh> = scene.objects.iter().collect();
-    let around = Around { plan, scene, camera, objects: Accel::build(&objects), local };
+    let around = Around { plan, scene, camera, objects: Accel::of_objects(scene), local };
     let mut judged = Judged { warnings: Vec::new(), maybe_unseen: false };
     for (i, name) in scene.object_names.iter().enumerate() {
-        let meshes: Vec<&Mesh> = scene.objects.iter().filter(|mesh| mesh.placed == i).collect();
+        let meshes: Vec<PlacedMesh> =
+            scene.all_objects().filter(|placed| placed.mesh.placed == i).collect();
         let Some(object) = Placed::new(i, name, &meshes, scene) else {
             // Animations hide things by scaling them to nothing.
             judged.maybe_unseen |= plan.object_moves(i);
@@ -70,7 +70,7 @@ struct Around<'a> {
 struct Placed<'a> {
     index: usize,
     name: &'a str,
-    meshes: &'a [&'a Mesh],
+    meshes: &'a [PlacedMesh<'a>],
     scene: &'a Scene,
     /// Corners of its triangles, thinned out evenly.
     corners: Vec<DVec3>,
@@ -82,13 +82,20 @@ struct Placed<'a> {
 
 impl<'a> Placed<'a> {
     /// `None` of an object without triangles.
-    fn new(index: usize, name: &'a str, meshes: &'a [&'a Mesh], scene: &'a Scene) -> Option<Self> {
-        let n: usize = meshes.iter().map(|mesh| mesh.triangles.len()).sum();
-        let triangles = meshes.iter().flat_map(|mesh| {
-            (0..mesh.triangles.len()).map(|t| mesh.corners(t).map(|p| scene.to_world(p)))
+    fn new(
+        index: usize,
+        name: &'a str,
+        meshes: &'a [PlacedMesh<'a>],
+        scene: &'a Scene,
+    ) -> Option<Self> {
+        let n: usize = meshes.iter().map(|placed| placed.mesh.triangles.len()).sum();
+        let triangles = meshes.iter().flat_map(|placed| {
+            let corners = |t| placed.corners(t).map(|p| scene.to_world(p));
+            (0..placed.mesh.triangles.len()).map(corners)
         });
         let some: Vec<[DVec3; 3]> = triangles.step_by(n.div_ceil(RAYS).max(1)).collect();
-        let bounds = meshes.iter().map(|mesh| mesh.bounds()).reduce(|a, b| a.union(&b))?;
+        let boxes = meshes.iter().map(|placed| Bounds::of(placed.positions()));
+        let bounds = boxes.reduce(|a, b| a.union(&b))?;
         (n > 0).then(|| Self {
             index,
             name,
@@ -102,7 +109,7 @@ impl<'a> Placed<'a> {
     }
 
     fn positions(&self) -> impl Iterator<Item = DVec3> {
-        self.meshes.iter().flat_map(|mesh| &mesh.positions).map(|&p| self.scene.to_world(p))
+        self.meshes.iter().flat_map(|placed| placed.positions()).map(|p| self.scene.to_world(p))
     }
 
     /// Its lowest corners, and some all over it.
@@ -213,7 +220,7 @@ impl Around<'_> {
             // From just above, so that a corner that lies on the surface meets it.
             let from = p + up * tolerance;
             let near = |distance: Option<f64>| distance.is_some_and(|d| d < 2.0 * tolerance);
-            let is_other = |mesh: usize| self.scene.objects[mesh].placed != object.index;
+            let is_other = |mesh: usize| self.scene.object(mesh as u32).mesh.placed != object.index;
             near(self.below(self.local, from, up, |_| true))
                 || near(self.below(&self.objects, from, up, is_other))
         })
@@ -340,7 +347,7 @@ impl Around<'_> {
         let local = self.local.closest(&ray);
         match (object, local) {
             (Some(object), local) if local.is_none_or(|local| object.t <= local.t) => {
-                Some(Met::Object(self.scene.objects[object.mesh as usize].placed))
+                Some(Met::Object(self.scene.object(object.mesh).mesh.placed))
             }
             (_, local) => local.map(|local| Met::Local(local.mesh as usize)),
         }

@@ -103,10 +103,10 @@ impl Finder {
         read.into_iter().filter_map(|photo| self.keep(key, photo)).collect()
     }
 
-    /// A model that stands still.
+    /// A model that stands still, every mesh a copy of its own.
     fn model(&mut self, key: &str, path: &Path) -> Option<Model> {
         let path = self.file(key, path)?;
-        let model = self.keep(key, scene::read(&path))?;
+        let model = self.keep(key, scene::read(&path).and_then(Model::flattened))?;
         self.usable(key, &path, model, &DAffine3::IDENTITY)
     }
 
@@ -346,7 +346,7 @@ impl Plan {
         const BASE: u64 = 300 << 20;
         let pixels = |photo: &Photo| photo.linear.pixels().len() as u64;
         let models = self.support.iter().chain(&self.local).chain(&self.objects);
-        let triangles: u64 = models.map(|model| model.n_triangles() as u64).sum();
+        let triangles: u64 = models.map(|model| model.n_held_triangles() as u64).sum();
         PER_PIXEL * pixels(&self.plate)
             + PER_PROBE_PIXEL * self.probe_photos.iter().map(pixels).sum::<u64>()
             + PER_TRIANGLE * triangles

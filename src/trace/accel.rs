@@ -7,12 +7,13 @@ use obvhs::BvhBuildParams;
 use obvhs::bvh2::builder::build_bvh2_from_tris;
 
 use super::crowd;
+use super::instances::Instances;
 use super::kernel::MAX_COORDINATE;
 use super::traverse::{self, Found, Simd};
 use super::triangle::LANES;
 use super::wide::{self, LEAF, Tree};
 use super::{Hit, Ray};
-use crate::scene::{Bounds, Mesh};
+use crate::scene::{Bounds, Instance, Mesh, Scene};
 
 /// Meshes made ready for rays.
 ///
@@ -20,6 +21,9 @@ use crate::scene::{Bounds, Mesh};
 /// - Watertight: a ray that crosses a closed surface hits it, through edges and vertices too.
 /// - The hit is that of testing every triangle in turn; of two at the same distance the one with
 ///   the lower mesh, then lower triangle number counts.
+/// - Of an instance ([`Accel::of_objects`]) that holds within rounding of the ray: of its own triangles the
+///   nearest one is found by the ray as rounded in its mesh's frame; distance and weights are those of
+///   the placed triangle, and by these and the numbers instances compete with all else.
 /// - Both sides of a triangle are hit. Triangles without area, and those with a corner that is not
 ///   finite or farther out than 2⁴⁰ m, are left out: [`lost_triangles`] counts them.
 #[derive(Clone, Debug)]
@@ -31,9 +35,22 @@ pub struct Accel {
     /// Largest absolute coordinate.
     extent: f32,
     simd: Simd,
+    /// Only of structures with instances: others take no time for them.
+    instances: Option<Box<Instances>>,
 }
 
 impl Accel {
+    /// Builds over the objects of a scene and their instances; [`Hit::mesh`] is the number that
+    /// [`Scene::object`] knows.
+    pub fn of_objects(scene: &Scene) -> Self {
+        let meshes: Vec<&Mesh> = scene.objects.iter().collect();
+        Self::build(&meshes).with_instances(&meshes, &scene.instances)
+    }
+
+    fn with_instances(self, meshes: &[&Mesh], instances: &[Instance]) -> Self {
+        Self { instances: Instances::build(meshes, instances).map(Box::new), ..self }
+    }
+
     /// Builds over all triangles of `meshes`; [`Hit::mesh`] counts in their order. None is legal.
     ///
     /// Panics beyond 2³¹ triangles or with an index outside a mesh ([`Mesh`] promises there is none).
@@ -59,13 +76,18 @@ impl Accel {
             extent: if triangles.is_empty() { 0.0 } else { extent },
             bounds,
             simd: Simd::detect(),
+            instances: None,
         }
     }
 
     /// Nearest hit of the ray.
     pub fn closest(&self, ray: &Ray) -> Option<Hit> {
-        let found = traverse::closest(&self.tree, ray, self.extent, self.simd, |_, _, _| true)?;
-        Some(self.hit(found))
+        let found = traverse::closest(&self.tree, ray, self.extent, self.simd, |_, _, _| true);
+        let hit = found.map(|found| self.hit(found));
+        match &self.instances {
+            None => hit,
+            Some(instances) => instances.closest(ray, hit, |_, _, _, _| true),
+        }
     }
 
     /// Nearest hit of those for which `counts(mesh, triangle, u, v)` is true (alpha masks).
@@ -79,17 +101,32 @@ impl Accel {
         let found = traverse::closest(&self.tree, ray, self.extent, self.simd, |i, u, v| {
             let [mesh, triangle] = self.ids[i as usize];
             counts(mesh, triangle, u, v)
-        })?;
-        Some(self.hit(found))
+        });
+        let hit = found.map(|found| self.hit(found));
+        match &self.instances {
+            None => hit,
+            Some(instances) => instances.closest(ray, hit, counts),
+        }
     }
 
     /// Whether anything lies on the ray. Faster than [`Accel::closest`]: stops at the first find.
     pub fn occluded(&self, ray: &Ray) -> bool {
         traverse::occluded(&self.tree, ray, self.extent, self.simd, |_, _, _| true)
+            || self.instances.as_ref().is_some_and(|i| i.occluded(ray, |_, _, _, _| true))
     }
 
     /// Whether anything for which `counts(mesh, triangle, u, v)` is true lies on the ray.
     pub fn occluded_where(&self, ray: &Ray, counts: impl Fn(u32, u32, f32, f32) -> bool) -> bool {
+        self.occluded_by_own(ray, &counts)
+            || self.instances.as_ref().is_some_and(|instances| instances.occluded(ray, counts))
+    }
+
+    /// As [`Accel::occluded_where`], without instances.
+    pub(super) fn occluded_by_own(
+        &self,
+        ray: &Ray,
+        counts: impl Fn(u32, u32, f32, f32) -> bool,
+    ) -> bool {
         traverse::occluded(&self.tree, ray, self.extent, self.simd, |i, u, v| {
             let [mesh, triangle] = self.ids[i as usize];
             counts(mesh, triangle, u, v)
@@ -98,16 +135,17 @@ impl Accel {
 
     /// Box of all triangles; empty ([`Bounds::is_empty`]) if there is none.
     pub fn bounds(&self) -> Bounds {
-        self.bounds
+        let instances = self.instances.as_ref().map_or(Bounds::EMPTY, |i| i.bounds());
+        self.bounds.union(&instances)
     }
 
     pub fn is_empty(&self) -> bool {
         self.ids.is_empty()
     }
 
-    /// Triangles that can be hit.
+    /// Triangles that can be hit, those of instances once for each.
     pub fn n_triangles(&self) -> usize {
-        self.ids.len()
+        self.ids.len() + self.instances.as_ref().map_or(0, |instances| instances.n_triangles())
     }
 
     /// Memory of the structure, bytes.
@@ -115,6 +153,7 @@ impl Accel {
         size_of_val(&self.tree.nodes[..])
             + size_of_val(&self.tree.blocks[..])
             + size_of_val(&self.ids[..])
+            + self.instances.as_ref().map_or(0, |instances| instances.n_bytes())
     }
 
     /// At most `limit` boxes (at least one if there is anything) that together hold every triangle:
@@ -123,6 +162,20 @@ impl Accel {
         if self.is_empty() {
             return Vec::new();
         }
+        // Half of them for the instances, and for one alone a box of both.
+        if let Some(instances) = &self.instances {
+            if limit < 2 {
+                return vec![self.bounds()];
+            }
+            let mut parts = self.own_parts(limit - limit / 2);
+            parts.extend(instances.parts(limit - parts.len()));
+            return parts;
+        }
+        self.own_parts(limit)
+    }
+
+    /// As [`Accel::parts`], without instances.
+    fn own_parts(&self, limit: usize) -> Vec<Bounds> {
         let mut parts = vec![(0, self.bounds)];
         loop {
             let widest = (0..parts.len())
@@ -139,6 +192,20 @@ impl Accel {
             parts.extend(children.map(|i| (node.children[i], node.bounds(i))));
         }
         parts.into_iter().map(|(_, bounds)| bounds).collect()
+    }
+
+    /// As [`Accel::closest_where`] without instances, with the corners of what is hit.
+    pub(super) fn closest_triangle(
+        &self,
+        ray: &Ray,
+        counts: impl Fn(u32, u32, f32, f32) -> bool,
+    ) -> Option<(Hit, [Vec3; 3])> {
+        let found = traverse::closest(&self.tree, ray, self.extent, self.simd, |i, u, v| {
+            let [mesh, triangle] = self.ids[i as usize];
+            counts(mesh, triangle, u, v)
+        })?;
+        let corners = self.tree.blocks[found.block as usize].triangle(found.lane as usize);
+        Some((self.hit(found), corners))
     }
 
     fn hit(&self, found: Found) -> Hit {
@@ -186,102 +253,9 @@ mod tests {
     use rayon::prelude::*;
 
     use super::*;
-    use crate::scene::{Material, Place, Scene};
+    use crate::scene::{Material, Place};
+    use crate::trace::test_meshes::{Random, grid_box, soup, sphere};
     use crate::trace::triangle::{self, Shear};
-
-    /// A small generator (PCG-like), so that the tests need no crate and never change.
-    struct Random(u64);
-
-    impl Random {
-        fn next(&mut self) -> f32 {
-            self.0 = self
-                .0
-                .wrapping_mul(6_364_136_223_846_793_005)
-                .wrapping_add(1_442_695_040_888_963_407);
-            ((self.0 >> 40) as f32) / (1_u32 << 24) as f32
-        }
-
-        fn point(&mut self) -> Vec3 {
-            Vec3::new(self.next(), self.next(), self.next()) * 2.0 - 1.0
-        }
-
-        fn direction(&mut self) -> Vec3 {
-            loop {
-                let p = self.point();
-                if p.length_squared() > 0.01 && p.length_squared() <= 1.0 {
-                    return p.normalize();
-                }
-            }
-        }
-    }
-
-    fn soup(n: usize, size: f32, seed: u64) -> Mesh {
-        let mut random = Random(seed);
-        let mut mesh = Mesh::default();
-        for i in 0..n as u32 {
-            let centre = random.point();
-            for _ in 0..3 {
-                mesh.positions.push(centre + size * random.point());
-            }
-            mesh.triangles.push([3 * i, 3 * i + 1, 3 * i + 2]);
-        }
-        mesh
-    }
-
-    /// A closed sphere of 4 · n · (n − 1) triangles.
-    fn sphere(n: u32, centre: Vec3) -> Mesh {
-        let mut mesh = Mesh::default();
-        let (rows, columns) = (n, 2 * n);
-        mesh.positions.push(centre + Vec3::Y);
-        for row in 1..rows {
-            let theta = std::f32::consts::PI * row as f32 / rows as f32;
-            for column in 0..columns {
-                let phi = std::f32::consts::TAU * column as f32 / columns as f32;
-                let (sin, cos) = theta.sin_cos();
-                mesh.positions.push(centre + Vec3::new(sin * phi.cos(), cos, sin * phi.sin()));
-            }
-        }
-        mesh.positions.push(centre - Vec3::Y);
-        let at = |row: u32, column: u32| 1 + (row - 1) * columns + column % columns;
-        let last = mesh.positions.len() as u32 - 1;
-        for column in 0..columns {
-            mesh.triangles.push([0, at(1, column + 1), at(1, column)]);
-            mesh.triangles.push([last, at(rows - 1, column), at(rows - 1, column + 1)]);
-            for row in 1..rows - 1 {
-                let (a, b) = (at(row, column), at(row, column + 1));
-                let (c, d) = (at(row + 1, column), at(row + 1, column + 1));
-                mesh.triangles.extend([[a, b, c], [b, d, c]]);
-            }
-        }
-        mesh
-    }
-
-    /// The unit box, each face a grid of n × n squares; all coordinates exact.
-    fn grid_box(n: u32, shift: Vec3) -> Mesh {
-        let mut mesh = Mesh::default();
-        for axis in 0..3 {
-            for side in [0.0, 1.0] {
-                let first = mesh.positions.len() as u32;
-                for j in 0..=n {
-                    for i in 0..=n {
-                        let mut p = Vec3::ZERO;
-                        p[axis] = side;
-                        p[(axis + 1) % 3] = i as f32 / n as f32;
-                        p[(axis + 2) % 3] = j as f32 / n as f32;
-                        mesh.positions.push(p + shift);
-                    }
-                }
-                for j in 0..n {
-                    for i in 0..n {
-                        let a = first + j * (n + 1) + i;
-                        let (b, c, d) = (a + 1, a + n + 1, a + n + 2);
-                        mesh.triangles.extend([[a, b, c], [b, d, c]]);
-                    }
-                }
-            }
-        }
-        mesh
-    }
 
     /// Every triangle in turn, by the definition in the guarantees of [`Accel`].
     fn brute_force(meshes: &[&Mesh], ray: &Ray) -> Option<Hit> {

@@ -4,11 +4,15 @@
 //!
 //! The hit of a ray is a property of the triangles alone: the triangle test is watertight and its
 //! decisions do not depend on the order of the visit, the tree, the number of threads or the
-//! instruction set. The tree only skips boxes that cannot hold a hit.
+//! instruction set. The tree only skips boxes that cannot hold a hit. Of instances that holds within
+//! the rounding that [`Accel`] states.
 
 pub mod accel;
 mod crowd;
+mod instances;
 mod kernel;
+#[cfg(test)]
+mod test_meshes;
 mod traverse;
 mod triangle;
 mod wide;
@@ -22,7 +26,7 @@ use glam::Vec3;
 #[derive(Clone, Copy, Debug)]
 pub struct Ray {
     pub origin: Vec3,
-    /// Unit length.
+    /// Unit length: then `t` is a distance. Any other finite length is legal, and `t` counts in it.
     pub direction: Vec3,
     /// Not negative; a negative value counts as 0.
     pub t_min: f32,
@@ -45,7 +49,7 @@ impl Ray {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Hit {
     pub t: f32,
-    /// Which of the meshes the structure was built from.
+    /// Which of the meshes the structure was built from; after them, which of its instances.
     pub mesh: u32,
     /// Which triangle of that mesh.
     pub triangle: u32,

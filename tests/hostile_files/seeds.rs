@@ -247,7 +247,7 @@ fn layers() -> String {
     gltf(TRIANGLE, &material, &more)
 }
 
-/// The triangle moved, turned and scaled by the numbers of its own corners.
+/// The triangle at two places, moved, turned and scaled, all by the numbers of its own corners.
 fn moving() -> String {
     let animations = r#""animations":[{"name":"go","channels":[{"sampler":0,"target":{"node":0,"path":"translation"}},
 {"sampler":1,"target":{"node":0,"path":"rotation"}},{"sampler":2,"target":{"node":0,"path":"scale"}}],
@@ -257,7 +257,9 @@ fn moving() -> String {
 {"bufferView":0,"componentType":5126,"count":2,"type":"VEC3"},
 {"bufferView":0,"componentType":5126,"count":2,"type":"VEC4"},
 {"bufferView":0,"byteOffset":12,"componentType":5126,"count":1,"type":"SCALAR"}]}"#;
-    gltf(TRIANGLE, ORANGE, animations).replace("\"SCALAR\"}]}", accessors)
+    let twice = r#""mesh":0,"extensions":{"EXT_mesh_gpu_instancing":{"attributes":{"TRANSLATION":3}}}"#;
+    let text = gltf(TRIANGLE, ORANGE, animations).replace("\"SCALAR\"}]}", accessors);
+    text.replacen("\"mesh\":0", twice, 1)
 }
 
 fn glb() -> Vec<u8> {
