@@ -190,26 +190,6 @@ impl Environment {
         sum
     }
 
-    /// The same light in at most `width` × `height` texels, each the mean over its solid angle.
-    pub fn coarse(&self, width: usize, height: usize) -> Self {
-        let (width, height) = (width.clamp(1, self.width), height.clamp(1, self.height));
-        let edges = |k: usize, n: usize, of: usize| k * of / n..(k + 1) * of / n;
-        let mean = |i: usize, j: usize| {
-            let (mut flux, mut solid_angle) = (DVec3::ZERO, 0.0);
-            for row in edges(j, height, self.height) {
-                let texel = lat_long_solid_angle(row, self.width, self.height);
-                for column in edges(i, width, self.width) {
-                    flux += self.texels[row * self.width + column].truncate().as_dvec3() * texel;
-                    solid_angle += texel;
-                }
-            }
-            (flux / solid_angle).as_vec3().extend(0.0)
-        };
-        let texels = (0..width * height).map(|k| mean(k % width, k / width)).collect();
-        let table = None;
-        Self { width, height, texels, table, row_cosines: row_cosines(height), ..*self }
-    }
-
     /// Flux ∫ L dω of the whole sphere.
     pub fn flux(&self) -> DVec3 {
         self.texels

@@ -12,6 +12,7 @@ pub mod environment;
 pub mod lamp;
 mod median;
 pub mod near_field;
+pub mod parts;
 mod patch;
 pub mod proxy;
 #[cfg(test)]

@@ -2,12 +2,12 @@
 
 use std::f32::consts::{PI, TAU};
 
-use glam::{DVec2, DVec3, Vec3};
-use rayon::prelude::*;
+use glam::{DVec3, Vec3};
 
 use super::environment::Environment;
+use super::parts::{Part, parts};
 use super::proxy::Proxy;
-use crate::conventions::{Rgb, lat_long_direction, lat_long_solid_angle};
+use crate::conventions::Rgb;
 
 /// Walls are cut into parts as large as a cell of this grid over the probe's sphere.
 const COLUMNS: usize = 512;
@@ -19,22 +19,13 @@ const RAYS_PER_SIDE: u32 = 48;
 #[derive(Clone, Debug)]
 pub(super) struct Walls {
     pub proxy: Proxy,
-    /// Of a convex proxy only.
+    /// What the probe sees on them; of a convex proxy only.
     parts: Vec<Part>,
-}
-
-/// A part of the walls that the probe sees in one direction.
-#[derive(Clone, Copy, Debug)]
-struct Part {
-    /// Of its light's middle, unit, world axes.
-    direction: Vec3,
-    /// ∫ L dω at the probe.
-    flux: Rgb,
 }
 
 impl Walls {
     pub fn new(proxy: Proxy, environment: &Environment) -> Self {
-        let parts = if proxy.is_convex() { parts(environment) } else { Vec::new() };
+        let parts = if proxy.is_convex() { parts(environment, COLUMNS, ROWS) } else { Vec::new() };
         Self { proxy, parts }
     }
 
@@ -73,33 +64,4 @@ impl Walls {
         }
         sum * (PI / (n * n))
     }
-}
-
-/// The environment in blocks of texels, or in parts of them where it is coarse; dark ones left out.
-fn parts(environment: &Environment) -> Vec<Part> {
-    let (width, height) = environment.size();
-    let split = [COLUMNS.div_ceil(width), ROWS.div_ceil(height)];
-    let (columns, rows) = (width * split[0], height * split[1]);
-    let (texels, turn) = (environment.radiance(), environment.world_from_map());
-    let edges = |k: usize, n: usize, of: usize| k * of / n..(k + 1) * of / n;
-    let part = |i: usize, j: usize| {
-        let (mut flux, mut middle) = (DVec3::ZERO, DVec3::ZERO);
-        for row in edges(j, ROWS, rows) {
-            let solid_angle = lat_long_solid_angle(row, columns, rows);
-            for column in edges(i, COLUMNS, columns) {
-                let l = texels[row / split[1] * width + column / split[0]].as_dvec3() * solid_angle;
-                let at = DVec2::new(column as f64, row as f64);
-                flux += l;
-                middle += lat_long_direction(at, columns, rows) * l.max_element();
-            }
-        }
-        let direction = turn * middle.try_normalize()?.as_vec3();
-        Some(Part { direction: direction.normalize(), flux: flux.as_vec3() })
-    };
-    let rows = (0..ROWS).into_par_iter();
-    rows.flat_map_iter(|j| {
-        let part = &part;
-        (0..COLUMNS).filter_map(move |i| part(i, j))
-    })
-    .collect()
 }

@@ -14,6 +14,7 @@ use super::guides::{Block, Footprint, View};
 use super::sources::Sources;
 use super::world::{PartBall, World, is_flat};
 use crate::conventions::Rgb;
+use crate::light::parts::{Part, parts};
 use crate::scene::{Clearcoat, Material};
 use crate::trace::Accel;
 
@@ -231,12 +232,16 @@ fn most_sent(world: &World, sources: &Sources, objects: &PartBall) -> Rgb {
     /// less than this.
     const BETWEEN_NORMALS: f32 = 1.15;
     // Light is moved by a degree at most.
-    let map = world.lights.environment.coarse(256, 128);
+    let parts = match world.lights.proxy() {
+        Some(_) => Vec::new(),
+        None => parts(&world.lights.environment, 256, 128),
+    };
     let on = |normal: Vec3| {
         if world.lights.proxy().is_some() {
             sources.near_irradiance(objects, normal)
         } else {
-            map.irradiance(normal.as_dvec3()).as_vec3() + sources.lamp_irradiance(objects)
+            let light = |part: &Part| part.flux * normal.dot(part.direction).max(0.0);
+            parts.iter().map(light).sum::<Rgb>() + sources.lamp_irradiance(objects)
         }
     };
     let mut irradiance = Rgb::ZERO;
