@@ -146,9 +146,12 @@ impl<'a> Stack<'a> {
     /// Sorts the last `n` descending: the nearest comes out first.
     #[inline(always)]
     fn sort_last(&mut self, n: usize) {
-        let first = self.len - n;
-        // SAFETY: they were written by `push`.
-        let last = unsafe { self.waiting.get_unchecked_mut(first..self.len).assume_init_mut() };
+        debug_assert!(n <= self.len);
+        // SAFETY: there are that many, and they were written by `push`.
+        let last: &mut [u64] = unsafe {
+            let first = self.waiting.as_mut_ptr().add(self.len - n);
+            std::slice::from_raw_parts_mut(first.cast(), n)
+        };
         for i in 1..n {
             let key = last[i];
             let mut place = i;

@@ -257,7 +257,8 @@ fn moving() -> String {
 {"bufferView":0,"componentType":5126,"count":2,"type":"VEC3"},
 {"bufferView":0,"componentType":5126,"count":2,"type":"VEC4"},
 {"bufferView":0,"byteOffset":12,"componentType":5126,"count":1,"type":"SCALAR"}]}"#;
-    let twice = r#""mesh":0,"extensions":{"EXT_mesh_gpu_instancing":{"attributes":{"TRANSLATION":3}}}"#;
+    let twice =
+        r#""mesh":0,"extensions":{"EXT_mesh_gpu_instancing":{"attributes":{"TRANSLATION":3}}}"#;
     let text = gltf(TRIANGLE, ORANGE, animations).replace("\"SCALAR\"}]}", accessors);
     text.replacen("\"mesh\":0", twice, 1)
 }
