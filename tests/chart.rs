@@ -30,10 +30,11 @@ fn charted(
     chart
 }
 
-/// Error × √samples of a curve's first rendering, which no clock decides.
+/// Error × √samples of a curve's second rendering: the first whose samples are shared out by what was
+/// found, and no clock decides either.
 fn error_of_a_sample(curve: &Curve) -> f64 {
-    let first = curve.points.first().expect("a rendering");
-    first.error.expect("an error that can be told") * (first.samples as f64).sqrt()
+    let second = curve.points.get(1).expect("two renderings");
+    second.error.expect("an error that can be told") * (second.samples as f64).sqrt()
 }
 
 #[test]
@@ -81,6 +82,7 @@ fn what_is_wrong_is_told_before_any_work() {
     for (arguments, told) in [
         (vec![empty, "--methods", "coupeld"], "did you mean coupled?"),
         (vec![empty, "--scale", "1.5"], "--scale: 1.5"),
+        (vec![empty, "--scale", "0.001"], "the smallest that works is 0.334"),
         (vec![empty, "--time", "0"], "--time: \"0\" is no time; write seconds above 0"),
         (vec![empty, "--time", "1s"], "--time: 1s is not 2 s or more"),
         (vec![empty, "--time", "-3"], "--time: \"-3\" is no time"),
