@@ -155,13 +155,26 @@ fn give(
     groups: &Image<u32>,
     masses: &Image<f32>,
 ) {
-    let weight = |q: (usize, usize)| {
-        let (dx, dy) = (q.0 as f32 - p.0 as f32, q.1 as f32 - p.1 as f32);
-        (1.0 - (dx * dx + dy * dy) / (SPREAD * SPREAD) as f32).max(0.0)
-    };
-    let whole: f32 = near(p, SPREAD, groups).map(|q| weight(q) * masses[q]).sum();
-    for q in near(p, SPREAD, groups) {
-        spread[q] += light * (weight(q) / whole);
+    let columns = p.0.saturating_sub(SPREAD)..(p.0 + SPREAD + 1).min(groups.width());
+    let rows = p.1.saturating_sub(SPREAD)..(p.1 + SPREAD + 1).min(groups.height());
+    let weights: Vec<f32> = rows
+        .clone()
+        .flat_map(|y| columns.clone().map(move |x| (x, y)))
+        .zip(rows.clone().flat_map(|y| &groups.row(y)[columns.clone()]))
+        .map(|((x, y), &group)| {
+            let (dx, dy) = (x as f32 - p.0 as f32, y as f32 - p.1 as f32);
+            let falloff = (1.0 - (dx * dx + dy * dy) / (SPREAD * SPREAD) as f32).max(0.0);
+            if group == groups[p] { falloff } else { 0.0 }
+        })
+        .collect();
+    let around = rows.clone().flat_map(|y| &masses.row(y)[columns.clone()]);
+    let whole: f32 = weights.iter().zip(around).map(|(weight, mass)| weight * mass).sum();
+    for (y, weights) in rows.zip(weights.chunks(columns.len())) {
+        let row = y * groups.width();
+        let row = &mut spread.pixels_mut()[row + columns.start..row + columns.end];
+        for (spread, weight) in row.iter_mut().zip(weights) {
+            *spread += light * (weight / whole);
+        }
     }
 }
 
