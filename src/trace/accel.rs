@@ -82,11 +82,12 @@ impl Accel {
 
     /// Nearest hit of the ray.
     pub fn closest(&self, ray: &Ray) -> Option<Hit> {
-        let found = traverse::closest(&self.tree, ray, self.extent, self.simd, |_, _, _| true);
-        let hit = found.map(|found| self.hit(found));
         match &self.instances {
-            None => hit,
-            Some(instances) => instances.closest(ray, hit, |_, _, _, _| true),
+            None => self.closest_of_own(ray, |_, _, _, _| true),
+            Some(instances) => {
+                let own = self.closest_of_own(ray, |_, _, _, _| true);
+                instances.closest(ray, own, |_, _, _, _| true)
+            }
         }
     }
 
@@ -98,15 +99,26 @@ impl Accel {
         ray: &Ray,
         counts: impl Fn(u32, u32, f32, f32) -> bool,
     ) -> Option<Hit> {
+        match &self.instances {
+            None => self.closest_of_own(ray, counts),
+            Some(instances) => {
+                let own = self.closest_of_own(ray, &counts);
+                instances.closest(ray, own, counts)
+            }
+        }
+    }
+
+    /// As [`Accel::closest_where`], without instances.
+    fn closest_of_own(
+        &self,
+        ray: &Ray,
+        counts: impl Fn(u32, u32, f32, f32) -> bool,
+    ) -> Option<Hit> {
         let found = traverse::closest(&self.tree, ray, self.extent, self.simd, |i, u, v| {
             let [mesh, triangle] = self.ids[i as usize];
             counts(mesh, triangle, u, v)
-        });
-        let hit = found.map(|found| self.hit(found));
-        match &self.instances {
-            None => hit,
-            Some(instances) => instances.closest(ray, hit, counts),
-        }
+        })?;
+        Some(self.hit(found))
     }
 
     /// Whether anything lies on the ray. Faster than [`Accel::closest`]: stops at the first find.
