@@ -24,8 +24,9 @@ const VARIANCE_REACH: usize = 2;
 const JUDGE_REACH: usize = 6;
 /// The same for what holds on the whole: light that the fit lost or gained, and its mean error.
 const WIDE_REACH: usize = 24;
-/// How far chance light is spread, pixels.
+/// How far chance light is spread, pixels, and the side of the square it can come to.
 const SPREAD: usize = 32;
+const SIDE: usize = 2 * SPREAD + 1;
 /// The fit's error beyond its scatter counts from this share of the samples' variance on: below it
 /// is what the estimate of that error scatters by over the window it is judged in.
 const DOUBT: f32 = 0.2;
@@ -115,6 +116,7 @@ fn calm(noisy: &Noisy) -> ([Image<Rgb>; 2], Image<Rgb>) {
     let (width, height) = (groups.width(), groups.height());
     let mut out = halves.clone();
     let mut spread = Image::filled(width, height, Rgb::ZERO);
+    let falloff = falloff();
     for (half, other) in [(0, &halves[1]), (1, &halves[0])] {
         let mean = smooth(other, groups, AROUND);
         let square = smooth(&other.map(|v| *v * *v), groups, AROUND);
@@ -140,11 +142,18 @@ fn calm(noisy: &Noisy) -> ([Image<Rgb>; 2], Image<Rgb>) {
             if excess != Rgb::ZERO {
                 let p = (k % width, k / width);
                 out[half][p] -= excess;
-                give(&mut spread, p, 0.5 * masses[p] * excess, groups, masses);
+                give(&mut spread, p, 0.5 * masses[p] * excess, groups, masses, &falloff);
             }
         }
     }
     (out, spread)
+}
+
+/// What share of spread light falls where around a pixel: row by row, [`SIDE`] each way.
+fn falloff() -> Vec<f32> {
+    let away = |k: usize| k as f32 - SPREAD as f32;
+    let squared = |k: usize| away(k % SIDE).powi(2) + away(k / SIDE).powi(2);
+    (0..SIDE * SIDE).map(|k| (1.0 - squared(k) / (SPREAD * SPREAD) as f32).max(0.0)).collect()
 }
 
 /// Gives `light`, a mass times a value, to the surroundings of `p`.
@@ -154,24 +163,23 @@ fn give(
     light: Rgb,
     groups: &Image<u32>,
     masses: &Image<f32>,
+    falloff: &[f32],
 ) {
-    let columns = p.0.saturating_sub(SPREAD)..(p.0 + SPREAD + 1).min(groups.width());
+    let (left, right) = (p.0.saturating_sub(SPREAD), (p.0 + SPREAD + 1).min(groups.width()));
     let rows = p.1.saturating_sub(SPREAD)..(p.1 + SPREAD + 1).min(groups.height());
-    let weights: Vec<f32> = rows
-        .clone()
-        .flat_map(|y| columns.clone().map(move |x| (x, y)))
-        .zip(rows.clone().flat_map(|y| &groups.row(y)[columns.clone()]))
-        .map(|((x, y), &group)| {
-            let (dx, dy) = (x as f32 - p.0 as f32, y as f32 - p.1 as f32);
-            let falloff = (1.0 - (dx * dx + dy * dy) / (SPREAD * SPREAD) as f32).max(0.0);
-            if group == groups[p] { falloff } else { 0.0 }
-        })
-        .collect();
-    let around = rows.clone().flat_map(|y| &masses.row(y)[columns.clone()]);
-    let whole: f32 = weights.iter().zip(around).map(|(weight, mass)| weight * mass).sum();
-    for (y, weights) in rows.zip(weights.chunks(columns.len())) {
-        let row = y * groups.width();
-        let row = &mut spread.pixels_mut()[row + columns.start..row + columns.end];
+    let group = groups[p];
+    let (mut weights, mut whole) = (Vec::with_capacity(falloff.len()), 0.0_f32);
+    for y in rows.clone() {
+        let falloff = &falloff[(y + SPREAD - p.1) * SIDE + left + SPREAD - p.0..];
+        let falloff = falloff.iter().zip(&groups.row(y)[left..right]);
+        let row = weights.len();
+        weights.extend(falloff.map(|(&share, &of)| if of == group { share } else { 0.0 }));
+        let masses = weights[row..].iter().zip(&masses.row(y)[left..right]);
+        whole += masses.map(|(weight, mass)| weight * mass).sum::<f32>();
+    }
+    let width = groups.width();
+    for (y, weights) in rows.zip(weights.chunks(right - left)) {
+        let row = &mut spread.pixels_mut()[y * width + left..y * width + right];
         for (spread, weight) in row.iter_mut().zip(weights) {
             *spread += light * (weight / whole);
         }
