@@ -36,7 +36,7 @@ def write_shot(scene, folder, denoise):
     )
     json.dump(camera, open(os.path.join(folder, "camera.json"), "w"))
     own = open(os.path.join(scene, "shot.toml")).read()
-    sections = re.findall(r"^\[+(?:surroundings|lamp)\]+\n(?:(?!\[).*\n)*", own, re.MULTILINE)
+    sections = re.findall(r"^\[+(?:surroundings|lamp)\]+[^\n]*\n(?:(?!\[).*\n)*", own, re.MULTILINE)
     ball = re.search(r"\bball\b.*?[,{ \n]at = (\[.*?\])", own, re.DOTALL)
     at = f", at = {ball.group(1)}" if sections and ball else ""
     props = f'[[local]]\nfile = "{scene}/props.glb"\n' if os.path.exists(f"{scene}/props.glb") else ""
