@@ -278,6 +278,16 @@ impl Pixel {
         if let Some((moved, variance)) = ratio {
             // What one unit of the quotient makes of the pixel
             let unit = if mean.plate > 0.0 { plate * mean.local } else { base };
+            // The denoiser moved the mean of the halves. The samples' own is another where one half
+            // has a replicate more, and its bias was corrected: a find that the denoiser took out
+            // would leave its share of both.
+            let [even, odd] = self.half_means();
+            let (of_samples, of_halves) =
+                (mean.delta / base, 0.5 * (even.delta + odd.delta) / base);
+            let refined = of_halves + moved;
+            let bias = of_samples - estimate.ratio / mean.local;
+            let most = LARGEST_CORRECTION * refined.abs();
+            let moved = refined - bias.clamp(-most, most) - (of_samples - bias);
             let moved = Vec3::select(lit, moved, Vec3::ZERO);
             out.ratio += moved * mean.local;
             out.difference += unit * moved;
@@ -287,7 +297,8 @@ impl Pixel {
             }
         }
         if let Some((moved, variance)) = object {
-            out.object += moved * mean.coverage;
+            let [even, odd] = self.half_means().map(|half| half.object / half.coverage);
+            out.object = (0.5 * (even + odd) + moved) * mean.coverage;
             let value = out.object / mean.coverage;
             if whole {
                 // The denoiser knows nothing of how well the outline is known.
@@ -368,6 +379,41 @@ mod tests {
         // Ten times less light than there is would be −200 without the floor under the base; that
         // it is still below −1 is for the composite to mend, once noise has averaged out.
         assert!(e.ratio.cmpgt(Rgb::splat(-2.6)).all(), "{}", e.ratio);
+    }
+
+    #[test]
+    fn nothing_stays_of_a_find_that_a_denoiser_takes_out() {
+        // Odd numbers of replicates, the find in either half, and light that scatters with it.
+        for (replicates, hot) in [(4, 1), (5, 0), (5, 1), (7, 2), (7, 5)] {
+            let mut pixel = Pixel::default();
+            for r in 0..replicates {
+                let find = if r == hot { 40.0 } else { 0.0 };
+                pixel.add(Sample {
+                    coverage: 0.25,
+                    object: Rgb::splat(0.25 * (0.5 + find)),
+                    local: 0.75,
+                    plate: 0.75,
+                    delta: Rgb::splat(0.75 * (find - 0.5)),
+                    without: Rgb::splat(0.75 + 0.01 * find),
+                    ..Sample::default()
+                });
+            }
+            let plate = Rgb::splat(2.0);
+            let halves = pixel.halves(plate, 1e-6);
+            // What takes the mean of the halves to −0.5 and to 0.5
+            let to = |value: f32, halves: Option<[Rgb; 2]>| {
+                halves.map(|[a, b]| (Rgb::splat(value) - 0.5 * (a + b), Rgb::ZERO))
+            };
+            let raw = pixel.estimate(replicates, plate, 1e-6);
+            let refined =
+                pixel.refined(&raw, plate, 1e-6, to(-0.5, halves.ratio), to(0.5, halves.object));
+            let ratio = refined.ratio.x / 0.75;
+            let within = 0.5 * LARGEST_CORRECTION;
+            assert!((ratio + 0.5).abs() <= within + 1e-4, "{replicates}, {hot}: {ratio}");
+            let difference = refined.difference.x - 2.0 * refined.ratio.x;
+            assert!(difference.abs() < 1e-4, "{replicates}, {hot}: {difference}");
+            assert!((refined.object.x - 0.125).abs() < 1e-4, "{replicates}, {hot}: {refined:?}");
+        }
     }
 
     #[test]
