@@ -8,7 +8,7 @@
 use rayon::prelude::*;
 
 use crate::conventions::Rgb;
-use crate::photo::{Format, Image, Photo};
+use crate::photo::{Format, Image, Photo, Window};
 use crate::render::Difference;
 
 /// How light that objects take from or give to the background reaches the plate.
@@ -23,8 +23,10 @@ pub enum Mode {
 /// The finished picture and its parts, in linear Rec.709 and the plate's scale.
 #[derive(Clone, Debug)]
 pub struct Composite {
-    /// Finite; the plate's own values where `changed` is false.
+    /// All of the picture. Finite; the plate's own values where `changed` is false.
     pub linear: Image<Rgb>,
+    /// The difference's window; the pictures below hold it alone, and nothing is changed elsewhere.
+    pub window: Window,
     /// True where anything of the objects reached the pixel.
     pub changed: Image<bool>,
     /// Signed change of the background: `linear = object + (1 − coverage) · plate + change`.
@@ -68,25 +70,29 @@ pub fn compose(
     difference: &Difference,
     mode: Mode,
 ) -> Result<Composite, CompositeError> {
-    let (width, height) = (plate.linear.width(), plate.linear.height());
-    let found = (difference.coverage.width(), difference.coverage.height());
-    if found != (width, height) {
-        return Err(CompositeError::Size { plate: (width, height), difference: found });
+    let size = (plate.linear.width(), plate.linear.height());
+    if difference.size != size {
+        return Err(CompositeError::Size { plate: size, difference: difference.size });
     }
-    let pixels: Vec<Pixel> = (0..width * height)
+    let window = difference.window;
+    let pixels: Vec<Pixel> = (0..window.n_pixels())
         .into_par_iter()
-        .map(|i| Pixel::compose(plate, difference, mode, i))
+        .map(|k| Pixel::compose(plate, difference, mode, k))
         .collect();
 
+    let mut linear = plate.linear.clone();
     let mut tally = Tally::default();
-    for pixel in &pixels {
+    for (k, pixel) in pixels.iter().enumerate() {
+        linear[window.pixel(k)] = pixel.linear;
         pixel.count(&mut tally);
     }
+    let (width, height) = window.size;
     let image = |value: fn(&Pixel) -> Rgb| {
         Image::from_fn(width, height, |x, y| value(&pixels[y * width + x]))
     };
     Ok(Composite {
-        linear: image(|p| p.linear),
+        linear,
+        window,
         changed: Image::from_fn(width, height, |x, y| pixels[y * width + x].changed),
         change: image(|p| p.change),
         shadow: image(|p| p.shadow),
@@ -109,12 +115,14 @@ struct Pixel {
 }
 
 impl Pixel {
-    fn compose(plate: &Photo, d: &Difference, mode: Mode, i: usize) -> Self {
-        let own = plate.linear.pixels()[i];
-        let (coverage, object) = (d.coverage.pixels()[i], d.object.pixels()[i]);
+    /// The difference's `k`-th pixel.
+    fn compose(plate: &Photo, d: &Difference, mode: Mode, k: usize) -> Self {
+        let at = d.window.pixel(k);
+        let own = plate.linear[at];
+        let (coverage, object) = (d.coverage.pixels()[k], d.object.pixels()[k]);
         // What is not there takes no light: alpha scales the difference as it scales the plate.
-        let alpha = straight_alpha(plate, i);
-        let (additive, ratio) = (d.difference.pixels()[i] * alpha, d.ratio.pixels()[i]);
+        let alpha = straight_alpha(plate, at);
+        let (additive, ratio) = (d.difference.pixels()[k] * alpha, d.ratio.pixels()[k]);
         let untouched = Self {
             linear: own,
             change: Rgb::ZERO,
@@ -154,7 +162,7 @@ impl Pixel {
             changed: true,
             by_ratio: use_ratio && coverage < 1.0,
             by_difference: !use_ratio && additive != Rgb::ZERO && coverage < 1.0,
-            plate_clipped: coverage < 1.0 && plate.clipped.pixels()[i],
+            plate_clipped: coverage < 1.0 && plate.clipped[at],
             negative: (sum.cmplt(floor).bitmask().count_ones()) as u8,
             finite: true,
         }
@@ -172,9 +180,9 @@ impl Pixel {
 
 /// Alpha that the plate's colour still has to be multiplied with: 1 for EXR, which is premultiplied,
 /// and for plates without alpha. Every other format is straight, whatever its sample type.
-fn straight_alpha(plate: &Photo, i: usize) -> f32 {
+fn straight_alpha(plate: &Photo, at: (usize, usize)) -> f32 {
     match &plate.alpha {
-        Some(alpha) if plate.format != Format::Exr => alpha.pixels()[i],
+        Some(alpha) if plate.format != Format::Exr => alpha[at],
         _ => 1.0,
     }
 }

@@ -5,7 +5,7 @@ use rayon::prelude::*;
 
 use super::Composite;
 use crate::conventions::{Rgb, luminance};
-use crate::photo::{Image, Photo, Samples, Transfer};
+use crate::photo::{Image, Photo, Samples, Transfer, Window};
 
 /// Finished samples, and how many values did not fit their type.
 #[derive(Clone, Debug)]
@@ -18,7 +18,7 @@ pub struct Encoded {
 /// The composite in the plate's sample type, transfer curve and primaries.
 ///
 /// Samples of pixels that no object changed are the plate's own, bit for bit. A grey plate gets the
-/// luminance; its alpha grows by the objects' coverage.
+/// luminance; its alpha grows by the objects' coverage, which is that of the composite's window.
 pub fn encode(plate: &Photo, composite: &Composite, coverage: &Image<f32>) -> Encoded {
     // The reader refuses primaries that span no colour space, so both matrices exist.
     let file_from_rec709 = plate
@@ -27,37 +27,41 @@ pub fn encode(plate: &Photo, composite: &Composite, coverage: &Image<f32>) -> En
         .rec709_from_rgb()
         .filter(|matrix| *matrix != DMat3::IDENTITY)
         .map(|matrix| matrix.inverse());
-    let pixel = |i: usize| {
-        let linear = composite.linear.pixels()[i];
+    let window = composite.window;
+    let pixel = |k: usize| {
+        if !composite.changed.pixels()[k] {
+            return None;
+        }
+        let linear = composite.linear[window.pixel(k)];
         let linear = match file_from_rec709 {
             Some(matrix) => (matrix * linear.as_dvec3()).as_vec3(),
             None => linear,
         };
         let transfer = &plate.encoding.transfer;
         let colour = Rgb::from_array(linear.to_array().map(|l| transfer.encode(l)));
-        let alpha = plate.alpha.as_ref().map_or(1.0, |a| a.pixels()[i]);
-        let covered = coverage.pixels()[i];
-        (colour, transfer, covered + (1.0 - covered) * alpha)
+        let alpha = plate.alpha.as_ref().map_or(1.0, |a| a[window.pixel(k)]);
+        let covered = coverage.pixels()[k];
+        Some((colour, transfer, covered + (1.0 - covered) * alpha))
     };
-    let changed = composite.changed.pixels();
+    let place = (plate.linear.width(), window);
     let (samples, clamped) = match &plate.samples {
         Samples::U8 { channels, data } => {
-            let (data, clamped) = replace(data, *channels, changed, pixel, |v| whole(v, 255.0));
+            let (data, clamped) = replace(data, *channels, place, pixel, |v| whole(v, 255.0));
             (Samples::U8 { channels: *channels, data }, clamped)
         }
         Samples::U16 { channels, data } => {
-            let (data, clamped) = replace(data, *channels, changed, pixel, |v| whole(v, 65535.0));
+            let (data, clamped) = replace(data, *channels, place, pixel, |v| whole(v, 65535.0));
             (Samples::U16 { channels: *channels, data }, clamped)
         }
         Samples::F16 { channels, data } => {
-            let (data, clamped) = replace(data, *channels, changed, pixel, |v| {
+            let (data, clamped) = replace(data, *channels, place, pixel, |v| {
                 let end = half::f16::MAX.to_f32();
                 (half::f16::from_f32(v.clamp(-end, end)), v.abs() > end)
             });
             (Samples::F16 { channels: *channels, data }, clamped)
         }
         Samples::F32 { channels, data } => {
-            let (data, clamped) = replace(data, *channels, changed, pixel, |v| (v, false));
+            let (data, clamped) = replace(data, *channels, place, pixel, |v| (v, false));
             (Samples::F32 { channels: *channels, data }, clamped)
         }
     };
@@ -84,31 +88,37 @@ impl Code for u16 {
     }
 }
 
-/// Copies `data`, replacing the samples of changed pixels by `pixel` stored with `store`.
+/// Copies `data`, replacing the samples of changed pixels by `pixel` stored with `store`; `place` is the
+/// picture's width and the window that pixels are counted in.
 fn replace<'a, T: Copy + Send + Sync>(
     data: &[T],
     channels: usize,
-    changed: &[bool],
-    pixel: impl Fn(usize) -> (Rgb, &'a Transfer, f32) + Sync,
+    (width, window): (usize, Window),
+    pixel: impl Fn(usize) -> Option<(Rgb, &'a Transfer, f32)> + Sync,
     store: impl Fn(f32) -> (T, bool) + Sync,
 ) -> (Vec<T>, u64) {
     let mut out = data.to_vec();
+    let (left, wide) = (window.first.0, window.size.0);
     let clamped = out
-        .par_chunks_mut(channels.max(1))
+        .par_chunks_mut((channels * width).max(1))
+        .skip(window.first.1)
+        .take(window.size.1)
         .enumerate()
-        .filter(|(i, _)| changed.get(*i) == Some(&true))
-        .map(|(i, samples)| {
-            let (colour, transfer, alpha) = pixel(i);
+        .map(|(row, samples)| {
             let mut clamped = 0;
-            for (channel, sample) in samples.iter_mut().enumerate() {
-                let value = match (channels, channel) {
-                    (2 | 4, c) if c + 1 == channels => alpha,
-                    (1 | 2, _) => grey(colour, transfer),
-                    (_, c) => colour.to_array()[c],
-                };
-                let (stored, outside) = store(value);
-                *sample = stored;
-                clamped += u64::from(outside);
+            let samples = &mut samples[channels * left..channels * (left + wide)];
+            for (column, samples) in samples.chunks_mut(channels).enumerate() {
+                let Some((colour, transfer, alpha)) = pixel(row * wide + column) else { continue };
+                for (channel, sample) in samples.iter_mut().enumerate() {
+                    let value = match (channels, channel) {
+                        (2 | 4, c) if c + 1 == channels => alpha,
+                        (1 | 2, _) => grey(colour, transfer),
+                        (_, c) => colour.to_array()[c],
+                    };
+                    let (stored, outside) = store(value);
+                    *sample = stored;
+                    clamped += u64::from(outside);
+                }
             }
             clamped
         })

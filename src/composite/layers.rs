@@ -5,11 +5,13 @@
 //! channels ending in R G B, everything else in other suffixes. All values are finite; only
 //! `difference` is signed.
 
+use rayon::prelude::*;
+
 use super::encode::Encoded;
 use super::{Composite, Mode};
 use crate::conventions::{Rgb, luminance};
 use crate::photo::exr_file::{ExrPicture, ExrSamples};
-use crate::photo::{Format, Image, Photo, Primaries, Samples};
+use crate::photo::{Format, Image, Photo, Primaries, Samples, Window};
 use crate::render::Difference;
 
 /// Layers that can be written beside the main picture, as `[output] layers` names them.
@@ -43,6 +45,7 @@ pub fn exr_picture(
     let (width, height) = (plate.linear.width(), plate.linear.height());
     let mut writer = Writer {
         picture: ExrPicture { width, height, ..ExrPicture::default() },
+        window: difference.window,
         // An EXR plate's own precision; pictures of 8 and 16 bit decode to more than half holds.
         float: !matches!(plate.samples, Samples::F16 { .. } | Samples::U8 { .. }),
         colour: exr_primaries(plate).rec709_from_rgb().map(|m| m.inverse()),
@@ -54,36 +57,35 @@ pub fn exr_picture(
     }
     if wanted("object") {
         writer.rgb("object", &difference.object);
-        writer.plain("object.A", difference.coverage.pixels().iter().copied());
+        writer.plain("object.A", difference.coverage.pixels().iter().copied(), 0.0);
     }
     if wanted("shadow") {
-        writer.plain_rgb("shadow", &composite.shadow);
+        writer.plain_rgb("shadow", &composite.shadow, 1.0);
     }
     if wanted("albedo") {
         writer.rgb("albedo", &difference.albedo);
     }
     if wanted("stderr") {
-        writer.float("stderr.Y", difference.stderr.pixels().iter().map(|&s| luminance(s)));
+        writer.float("stderr.Y", difference.stderr.pixels().iter().map(|&s| luminance(s)), 0.0);
     }
     if wanted("samples") {
-        writer.float("samples.Y", difference.samples.pixels().iter().map(|&n| n as f32));
+        writer.float("samples.Y", difference.samples.pixels().iter().map(|&n| n as f32), 0.0);
     }
     if wanted("influence") {
         let sampled = difference.samples.pixels().iter().map(|&n| n > 0);
-        writer.plain("influence.Y", sampled.map(|sampled| f32::from(u8::from(sampled))));
+        writer.plain("influence.Y", sampled.map(|sampled| f32::from(u8::from(sampled))), 0.0);
     }
     if wanted("clip") {
-        let clipped = plate.clipped.pixels().iter();
-        writer.plain("clip.Y", clipped.map(|&clipped| f32::from(u8::from(clipped))));
+        writer.clip(&plate.clipped);
     }
     if wanted("Z") {
         let depth = difference.depth.pixels().iter();
-        writer.float("Z", depth.map(|&z| if z.is_finite() { z } else { NO_DEPTH }));
+        writer.float("Z", depth.map(|&z| if z.is_finite() { z } else { NO_DEPTH }), NO_DEPTH);
     }
     if wanted("N") {
         for (axis, name) in ["N.X", "N.Y", "N.Z"].into_iter().enumerate() {
             let normals = difference.normal.pixels().iter();
-            writer.plain(name, normals.map(|n| n.to_array()[axis]));
+            writer.plain(name, normals.map(|n| n.to_array()[axis]), 0.0);
         }
     }
     writer.picture
@@ -120,6 +122,8 @@ impl Mode {
 
 struct Writer {
     picture: ExrPicture,
+    /// What the layers are held of.
+    window: Window,
     float: bool,
     /// File's primaries from Rec.709.
     colour: Option<glam::DMat3>,
@@ -132,52 +136,62 @@ impl Writer {
         let n = composite.linear.pixels().len();
         match &encoded.samples {
             Samples::F16 { channels, data } if is_exr(plate) && *channels >= 3 => {
-                self.rgba(data, *channels, half::f16::ONE, ExrSamples::F16);
+                self.rgba(data, *channels, ExrSamples::F16);
             }
             Samples::F32 { channels, data } if is_exr(plate) && *channels >= 3 => {
-                self.rgba(data, *channels, 1.0, ExrSamples::F32);
+                self.rgba(data, *channels, ExrSamples::F32);
             }
             // FLOAT: half would round the plate's decoded values, and nothing may change them.
             _ => {
+                let width = composite.linear.width();
+                let of_window = |i: usize| d.window.inside((i % width, i / width));
+                let plate_alpha = |i: usize| plate.alpha.as_ref().map_or(1.0, |a| a.pixels()[i]);
                 let alpha_of = |i: usize| {
-                    let plate_alpha = plate.alpha.as_ref().map_or(1.0, |a| a.pixels()[i]);
-                    let covered = d.coverage.pixels()[i];
-                    covered + (1.0 - covered) * plate_alpha
+                    let covered = of_window(i).map_or(0.0, |at| d.coverage[at]);
+                    covered + (1.0 - covered) * plate_alpha(i)
                 };
                 let colour = |i: usize| {
                     let linear = composite.linear.pixels()[i];
                     match plate.format {
-                        Format::Exr if composite.changed.pixels()[i] => self.encoded(plate, linear),
+                        Format::Exr if of_window(i).is_some_and(|at| composite.changed[at]) => {
+                            self.encoded(plate, linear)
+                        }
                         // Grey is the same in all primaries; the way there and back would round it.
                         Format::Exr => Rgb::splat(grey_sample(&plate.samples, i)),
+                        _ if plate.alpha.is_none() => linear,
                         _ => linear * alpha_of(i),
                     }
                 };
-                let colours: Vec<Rgb> = (0..n).map(colour).collect();
-                for (c, name) in ["R", "G", "B"].into_iter().enumerate() {
-                    let values = colours.iter().map(|l| l.to_array()[c]).collect();
+                let channels = [0, 1, 2].map(|c| -> Vec<f32> {
+                    (0..n).into_par_iter().map(|i| colour(i).to_array()[c]).collect()
+                });
+                for (name, values) in ["R", "G", "B"].into_iter().zip(channels) {
                     self.picture.push(name, ExrSamples::F32(values));
                 }
-                self.picture.push("A", ExrSamples::F32((0..n).map(alpha_of).collect()));
+                if plate.alpha.is_some() {
+                    let values = (0..n).into_par_iter().map(alpha_of).collect();
+                    self.picture.push("A", ExrSamples::F32(values));
+                } else {
+                    self.picture.push_part(
+                        "A",
+                        ExrSamples::F32(Vec::new()),
+                        Window::default(),
+                        1.0,
+                    );
+                }
             }
         }
     }
 
-    /// Interleaved R G B and perhaps A as channels; `one` is the alpha of a picture without.
-    fn rgba<T: Copy>(
-        &mut self,
-        data: &[T],
-        channels: usize,
-        one: T,
-        samples: fn(Vec<T>) -> ExrSamples,
-    ) {
+    /// Interleaved R G B and perhaps A as channels.
+    fn rgba<T: Copy>(&mut self, data: &[T], channels: usize, samples: fn(Vec<T>) -> ExrSamples) {
         for (c, name) in ["R", "G", "B", "A"].into_iter().enumerate() {
-            let values = if c < channels {
-                data.iter().skip(c).step_by(channels).copied().collect()
+            if c < channels {
+                let values = data.iter().skip(c).step_by(channels).copied().collect();
+                self.picture.push(name, samples(values));
             } else {
-                vec![one; data.len() / channels]
-            };
-            self.picture.push(name, samples(values));
+                self.picture.push_part(name, samples(Vec::new()), Window::default(), 1.0);
+            }
         }
     }
 
@@ -187,40 +201,51 @@ impl Writer {
         own.map(|l| plate.encoding.transfer.encode(l))
     }
 
-    /// A colour layer, in the file's primaries.
+    /// A colour layer, in the file's primaries; 0 outside the window.
     fn rgb(&mut self, layer: &str, image: &Image<Rgb>) {
         match self.colour.filter(|matrix| *matrix != glam::DMat3::IDENTITY) {
             Some(matrix) => {
                 let converted = image.map(|l| (matrix * l.as_dvec3()).as_vec3());
-                self.plain_rgb(layer, &converted);
+                self.plain_rgb(layer, &converted, 0.0);
             }
-            None => self.plain_rgb(layer, image),
+            None => self.plain_rgb(layer, image, 0.0),
         }
     }
 
-    /// Three channels as they are.
-    fn plain_rgb(&mut self, layer: &str, image: &Image<Rgb>) {
+    /// Three channels as they are, `elsewhere` outside the window.
+    fn plain_rgb(&mut self, layer: &str, image: &Image<Rgb>, elsewhere: f32) {
         for (c, suffix) in ["R", "G", "B"].into_iter().enumerate() {
             let values = image.pixels().iter().map(|l| l.to_array()[c]);
-            self.plain(&format!("{layer}.{suffix}"), values);
+            self.plain(&format!("{layer}.{suffix}"), values, elsewhere);
         }
     }
 
     /// Half where the plate has no more, unless a value needs the range of float.
-    fn plain(&mut self, name: &str, values: impl Iterator<Item = f32> + Clone) {
+    fn plain(&mut self, name: &str, values: impl Iterator<Item = f32> + Clone, elsewhere: f32) {
         let values = values.map(finite);
         if !self.float {
             let (samples, beyond_half) = ExrSamples::half(values.clone());
             if beyond_half == 0 {
-                self.picture.push(name, samples);
+                self.picture.push_part(name, samples, self.window, elsewhere);
                 return;
             }
         }
-        self.picture.push(name, ExrSamples::F32(values.collect()));
+        self.float(name, values, elsewhere);
     }
 
-    fn float(&mut self, name: &str, values: impl Iterator<Item = f32>) {
-        self.picture.push(name, ExrSamples::F32(values.map(finite).collect()));
+    fn float(&mut self, name: &str, values: impl Iterator<Item = f32>, elsewhere: f32) {
+        let samples = ExrSamples::F32(values.map(finite).collect());
+        self.picture.push_part(name, samples, self.window, elsewhere);
+    }
+
+    /// Where the plate's file clips: of all of it.
+    fn clip(&mut self, clipped: &Image<bool>) {
+        let values = clipped.pixels().iter().map(|&clipped| f32::from(u8::from(clipped)));
+        let samples = match self.float {
+            true => ExrSamples::F32(values.collect()),
+            false => ExrSamples::half(values).0,
+        };
+        self.picture.push("clip.Y", samples);
     }
 }
 
@@ -259,7 +284,38 @@ mod tests {
         assert_eq!(*channel(&picture, "Z"), ExrSamples::F32(vec![NO_DEPTH; 2]));
         assert_eq!(*channel(&picture, "influence.Y"), ExrSamples::F32(vec![1.0, 0.0]));
         assert_eq!(*channel(&picture, "stderr.Y"), ExrSamples::F32(vec![0.0; 2]));
-        assert_eq!(*channel(&picture, "A"), ExrSamples::F32(vec![1.0; 2]));
+        let alpha = picture.channels.iter().find(|channel| channel.name == "A");
+        assert_eq!(alpha.and_then(|alpha| alpha.part), Some((Window::default(), 1.0)), "all of it");
+    }
+
+    #[test]
+    fn a_difference_of_a_window_makes_the_file_that_its_whole_makes() {
+        let plate = Photo::from_linear(Image::from_fn(7, 5, |x, y| {
+            Rgb::new(0.1, 0.2, 0.3) * (1 + x + 7 * y) as f32
+        }));
+        let window = Window { first: (2, 1), size: (3, 2) };
+        let mut d = Difference::nothing_within((7, 5), window);
+        for (k, at) in [(0, 0), (1, 0), (2, 0), (0, 1), (1, 1), (2, 1)].into_iter().enumerate() {
+            d.coverage[at] = 0.1 * k as f32;
+            d.object[at] = Rgb::splat(0.3);
+            d.difference[at] = Rgb::splat(-0.1 * k as f32);
+            d.ratio[at] = Rgb::splat(-0.05 * k as f32);
+            d.depth[at] = 3.0;
+            d.samples[at] = 8;
+        }
+        let bytes = |d: &Difference| {
+            let path = std::path::Path::new("a.exr");
+            crate::photo::exr_file::to_bytes(path, &picture(&plate, d, None)).unwrap()
+        };
+        assert_eq!(bytes(&d), bytes(&d.whole()));
+        let changed = compose(&plate, &d, Mode::Ratio).unwrap().linear;
+        assert_ne!(changed[(2, 1)], plate.linear[(2, 1)]);
+        assert_eq!(changed[(5, 1)], plate.linear[(5, 1)]);
+        let samples = |d: &Difference| {
+            let composite = compose(&plate, d, Mode::Ratio).unwrap();
+            encode(&plate, &composite, &d.coverage).samples
+        };
+        assert_eq!(samples(&d), samples(&d.whole()));
     }
 
     #[test]

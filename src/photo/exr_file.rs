@@ -21,7 +21,7 @@ use half::f16;
 use rayon::prelude::*;
 
 use super::error::MAX_SIDE;
-use super::{Facts, PhotoError, Primaries, atomic};
+use super::{Facts, PhotoError, Primaries, Window, atomic};
 use crate::conventions::FULL_FRAME_DIAGONAL_MM;
 
 /// A picture to be written as EXR.
@@ -38,6 +38,9 @@ pub struct ExrPicture {
 pub struct ExrChannel {
     pub name: String,
     pub samples: ExrSamples,
+    /// The part of the picture that `samples` are of, and the value elsewhere; `None`: they are of all of
+    /// it.
+    pub part: Option<(Window, f32)>,
 }
 
 /// The samples of a channel in the type they are stored in.
@@ -113,6 +116,37 @@ impl ExrSamples {
             Self::U32(samples) => copy(&samples[start..], target, |v| v.to_ne_bytes()),
         }
     }
+
+    /// Fills `target` with one value in the samples' type.
+    fn fill_bytes(&self, value: f32, target: &mut [u8]) {
+        let fill = |target: &mut [u8], raw: &[u8]| {
+            target.chunks_exact_mut(raw.len()).for_each(|sample| sample.copy_from_slice(raw));
+        };
+        match self {
+            Self::F16(_) => fill(target, &f16::from_f32(value).to_ne_bytes()),
+            Self::F32(_) => fill(target, &value.to_ne_bytes()),
+            Self::U32(_) => fill(target, &(value as u32).to_ne_bytes()),
+        }
+    }
+
+    fn bytes_per_sample(&self) -> usize {
+        self.kind().bytes_per_sample()
+    }
+}
+
+impl ExrChannel {
+    /// Copies a line of the picture, of `width` px, from its left end on, in native byte order.
+    fn copy_line(&self, y: usize, width: usize, target: &mut [u8]) {
+        let Some((window, elsewhere)) = self.part else {
+            return self.samples.copy_bytes(y * width, target);
+        };
+        self.samples.fill_bytes(elsewhere, target);
+        if let Some((_, row)) = window.inside((window.first.0, y)) {
+            let bytes = self.samples.bytes_per_sample();
+            let inside = bytes * window.first.0..bytes * (window.first.0 + window.size.0);
+            self.samples.copy_bytes(row * window.size.0, &mut target[inside]);
+        }
+    }
 }
 
 fn copy<T: Copy, const N: usize>(samples: &[T], target: &mut [u8], bytes: impl Fn(T) -> [u8; N]) {
@@ -124,7 +158,19 @@ fn copy<T: Copy, const N: usize>(samples: &[T], target: &mut [u8], bytes: impl F
 impl ExrPicture {
     /// Adds a channel.
     pub fn push(&mut self, name: impl Into<String>, samples: ExrSamples) {
-        self.channels.push(ExrChannel { name: name.into(), samples });
+        self.channels.push(ExrChannel { name: name.into(), samples, part: None });
+    }
+
+    /// Adds a channel that is `elsewhere` outside of a window.
+    pub fn push_part(
+        &mut self,
+        name: impl Into<String>,
+        samples: ExrSamples,
+        window: Window,
+        elsewhere: f32,
+    ) {
+        let part = Some((window, elsewhere));
+        self.channels.push(ExrChannel { name: name.into(), samples, part });
     }
 }
 
@@ -164,8 +210,16 @@ fn header(path: &Path, picture: &ExrPicture) -> Result<Header, PhotoError> {
         return Err(wrong(format!("would hold channel {:?} twice", pair[0])));
     }
     for channel in &picture.channels {
-        if channel.samples.len() != width * height {
+        let window = channel.part.map_or(Window::whole(width, height), |(window, _)| window);
+        let fits = |first: usize, size: usize, of: usize| first <= of && size <= of - first;
+        if !fits(window.first.0, window.size.0, width)
+            || !fits(window.first.1, window.size.1, height)
+        {
+            return Err(wrong(format!("channel {:?} reaches beyond it", channel.name)));
+        }
+        if channel.samples.len() != window.n_pixels() {
             let (name, n) = (&channel.name, channel.samples.len());
+            let (width, height) = window.size;
             return Err(wrong(format!(
                 "channel {name:?} has {n} samples for {width} × {height} px"
             )));
@@ -287,9 +341,9 @@ fn write_chunks<W: io::Write + io::Seek>(
                         level: Vec2(0, 0),
                     };
                     UncompressedBlock::from_lines(&header.channels, index, |line| {
+                        // Blocks of scan lines are as wide as the picture.
                         let at = line.location;
-                        let start = at.position.y() * picture.width + at.position.x();
-                        channels[at.channel].samples.copy_bytes(start, line.value);
+                        channels[at.channel].copy_line(at.position.y(), picture.width, line.value);
                     })
                     .compress_to_chunk(&meta.headers)
                 })

@@ -42,6 +42,32 @@ fn every_half_comes_back_with_its_own_bits() {
 }
 
 #[test]
+fn a_channel_of_a_part_is_one_value_elsewhere() {
+    let mut picture = ExrPicture { width: 5, height: 40, ..ExrPicture::default() };
+    let window = Window { first: (1, 17), size: (3, 2) };
+    let values = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0];
+    picture.push_part("R", ExrSamples::F32(values.to_vec()), window, -1.0);
+    picture.push_part("G", ExrSamples::half(values).0, window, 0.5);
+    picture.push_part("B", ExrSamples::half([]).0, Window::default(), 7.0);
+    let photo = open("a.exr", &exr_bytes(&picture)).unwrap();
+    for (k, light) in photo.linear.pixels().iter().enumerate() {
+        let inside = window.inside((k % 5, k / 5)).map(|(x, y)| values[3 * y + x]);
+        let expected = [inside.unwrap_or(-1.0), inside.unwrap_or(0.5), 7.0];
+        assert_eq!(light.to_array(), expected, "pixel {k}");
+    }
+    for window in [
+        Window { first: (3, 0), size: (3, 2) },
+        Window { first: (usize::MAX, 0), size: (3, 2) },
+        Window { first: (0, 39), size: (3, 2) },
+    ] {
+        let mut beyond = ExrPicture { width: 5, height: 40, ..ExrPicture::default() };
+        beyond.push_part("R", ExrSamples::F32(values.to_vec()), window, 0.0);
+        let error = exr_file::to_bytes(Path::new("a.exr"), &beyond).unwrap_err().to_string();
+        assert!(error.contains("reaches beyond it"), "{error}");
+    }
+}
+
+#[test]
 fn mixed_layers_come_back_by_name() {
     let mut picture = ExrPicture { width: 3, height: 2, ..ExrPicture::default() };
     let ramp = |k: f32| (0..6).map(move |i| k + i as f32);

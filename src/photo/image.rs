@@ -2,6 +2,8 @@
 
 use std::ops::{Index, IndexMut};
 
+use crate::conventions::Rgb;
+
 /// A `width` × `height` picture, row-major, top-left pixel first.
 ///
 /// # Guarantees
@@ -79,6 +81,19 @@ impl<T> Image<T> {
     }
 }
 
+impl Image<Rgb> {
+    /// Means of squares of `n` × `n` pixels; what does not fill one at the right and lower edge is left
+    /// out.
+    pub fn reduced(&self, n: usize) -> Self {
+        let (width, height) = ((self.width / n).max(1), (self.height / n).max(1));
+        let n = n.min(self.width).min(self.height);
+        Self::from_fn(width, height, |x, y| {
+            let square = (0..n * n).map(|k| self[(x * n + k % n, y * n + k / n)]);
+            square.sum::<Rgb>() / (n * n) as f32
+        })
+    }
+}
+
 /// `image[(x, y)]`: column, row. Panics outside the picture.
 impl<T> Index<(usize, usize)> for Image<T> {
     type Output = T;
@@ -103,6 +118,15 @@ mod tests {
     fn wrong_pixel_count_is_no_image() {
         assert!(Image::from_pixels(3, 2, vec![0; 5]).is_none());
         assert!(Image::from_pixels(usize::MAX, 2, vec![0; 6]).is_none());
+    }
+
+    #[test]
+    fn a_reduced_picture_is_the_mean_of_its_pixels() {
+        let picture = Image::from_fn(7, 5, |x, y| Rgb::splat((x + 10 * y) as f32));
+        let small = picture.reduced(2);
+        assert_eq!((small.width(), small.height()), (3, 2));
+        assert_eq!(small[(1, 1)], Rgb::splat((22.0 + 23.0 + 32.0 + 33.0) / 4.0));
+        assert_eq!(picture.reduced(1), picture);
     }
 
     #[test]

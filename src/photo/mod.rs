@@ -88,7 +88,7 @@ pub struct NonFinite {
 }
 
 /// A rectangle of a picture.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Window {
     /// Column and row of its first pixel.
     pub first: (usize, usize),
@@ -97,6 +97,25 @@ pub struct Window {
 }
 
 impl Window {
+    /// All of a picture.
+    pub fn whole(width: usize, height: usize) -> Self {
+        Self { first: (0, 0), size: (width, height) }
+    }
+
+    pub fn n_pixels(&self) -> usize {
+        self.size.0 * self.size.1
+    }
+
+    /// Column and row in the picture of the window's `k`-th pixel, row by row.
+    pub fn pixel(&self, k: usize) -> (usize, usize) {
+        (self.first.0 + k % self.size.0, self.first.1 + k / self.size.0)
+    }
+
+    /// Place in the window, column and row, of a pixel of the picture; `None` outside.
+    pub fn inside(&self, at: (usize, usize)) -> Option<(usize, usize)> {
+        self.contains(at).then(|| (at.0 - self.first.0, at.1 - self.first.1))
+    }
+
     pub fn contains(&self, (x, y): (usize, usize)) -> bool {
         let inside = |at: usize, first: usize, n: usize| (first..first + n).contains(&at);
         inside(x, self.first.0, self.size.0) && inside(y, self.first.1, self.size.1)

@@ -14,7 +14,6 @@ use super::sampler::{Numbers, Sampler};
 use super::surface::Colouring;
 use super::world::World;
 use crate::conventions::Rgb;
-use crate::photo::Image;
 use crate::render::Context;
 use crate::scene::{AlbedoSource, Scene};
 
@@ -156,19 +155,15 @@ impl AlbedoMap {
         self.solved(plate, pixel, mesh).min(Rgb::splat(LARGEST_BOUNCE))
     }
 
-    /// The albedo layer: 0 where the plate shows nothing local that is diffuse.
-    pub fn layer(&self, world: &World, first_local: &Image<Option<usize>>) -> Image<Rgb> {
-        Image::from_fn(world.plate.width(), world.plate.height(), |x, y| {
-            let Some(mesh) = first_local[(x, y)] else { return Rgb::ZERO };
-            match world.scene.local[mesh].albedo {
-                AlbedoSource::Constant(albedo) => albedo,
-                AlbedoSource::Plate => {
-                    let pixel = Vec2::new(x as f32, y as f32);
-                    self.solved(world.plate[(x, y)], pixel, mesh)
-                }
-                AlbedoSource::Material => Rgb::ZERO,
+    /// Albedo of the local mesh that a pixel shows, for the layer: 0 of one that is not diffuse.
+    pub fn shown(&self, world: &World, mesh: usize, (x, y): (usize, usize)) -> Rgb {
+        match world.scene.local[mesh].albedo {
+            AlbedoSource::Constant(albedo) => albedo,
+            AlbedoSource::Plate => {
+                self.solved(world.plate[(x, y)], Vec2::new(x as f32, y as f32), mesh)
             }
-        })
+            AlbedoSource::Material => Rgb::ZERO,
+        }
     }
 }
 
@@ -202,6 +197,7 @@ fn node(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::photo::Image;
     use crate::render::test_scenes::{corner_camera, ground, local, matt, scene, uniform_sky};
 
     /// A texture between 0.2 and 0.8.

@@ -222,7 +222,7 @@ mod tests {
             let mut integrator = integrator(Method::Coupled, job).unwrap();
             let context = Context::new(seed);
             while !integrator.next_wave(&context).finished() {}
-            integrator.snapshot()
+            integrator.snapshot().whole()
         };
         let region = Region::new(&render(Stop::Samples(256), false, 1000), &plate).unwrap();
         for denoise in [false, true] {

@@ -1,16 +1,20 @@
 //! What the camera meets first, pixel by pixel, and what a tile of pixels shows of the local scene.
 //!
-//! One ray through every pixel centre; nothing here is filtered or noisy.
+//! One ray through every pixel centre, and nine through a block where they tell as much; nothing here is
+//! filtered or noisy.
+
+use std::collections::BTreeSet;
 
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::Context;
 use super::primary::Primary;
 use super::sampler::{Numbers, Sampler};
 use super::surface::Colouring;
 use super::world::{PartBall, World};
-use crate::photo::Image;
+use crate::photo::{Image, Window};
+use crate::scene::Bounds;
+use crate::trace::Ray;
 
 /// Side of a tile, pixels.
 pub const TILE: usize = 16;
@@ -60,14 +64,15 @@ impl Block {
     }
 }
 
-/// What the camera meets first at pixel centres.
+/// What the camera meets first at the pixel centres of a part of the picture.
 pub struct Guides {
+    pub window: Window,
     /// Along the view axis, metres; +∞ for nothing.
     pub depth: Image<f32>,
     /// Zero for nothing.
     pub normal: Image<Vec3>,
-    /// The local mesh, whatever object stands before it.
-    pub local: Image<Option<usize>>,
+    /// One more than the local mesh's number, whatever object stands before it; 0 for none.
+    pub local: Image<u32>,
 }
 
 /// A local point at a pixel centre.
@@ -89,6 +94,15 @@ pub struct View {
     /// An object is seen.
     pub object: bool,
     points: Vec<Point>,
+    /// Nine points stand for all.
+    glanced: bool,
+}
+
+/// Boxes that hold a local mesh.
+pub struct Shape {
+    pub boxes: Vec<Bounds>,
+    /// The mesh lies in a plane.
+    pub flat: bool,
 }
 
 /// The local things that a block shows, summed up.
@@ -108,10 +122,58 @@ pub struct Footprint {
 }
 
 impl View {
+    /// Looks through every pixel centre of a block; also what each of them meets.
+    pub fn new(world: &World, primary: &Primary, block: &Block) -> (Self, Vec<Seen>) {
+        let mut view = Self { block: *block, object: false, points: Vec::new(), glanced: false };
+        let seen = (0..block.n_pixels()).map(|k| {
+            let (x, y) = block.pixel(k);
+            let Some(ray) = primary.ray(x, y, 0.5, 0.5) else { return Seen::NOTHING };
+            let (seen, point, object) = look(world, &ray, x, y);
+            view.points.extend(point);
+            view.object |= object;
+            seen
+        });
+        let seen = seen.collect();
+        (view, seen)
+    }
+
+    /// What a block shows that no object is seen in, by nine rays; `None` where they may miss something:
+    /// they tell all where the block shows nothing, or nothing but one local mesh that is flat.
+    pub fn glance(
+        world: &World,
+        primary: &Primary,
+        shapes: &[Shape],
+        block: &Block,
+    ) -> Option<Self> {
+        let mut view = Self { block: *block, object: false, points: Vec::new(), glanced: true };
+        let mut shown = (0..shapes.len()).filter(|&k| primary.may_show(block, &shapes[k].boxes));
+        let Some(only) = shown.next() else { return Some(view) };
+        if shown.next().is_some() || !shapes[only].flat {
+            return None;
+        }
+        let across = [0, block.width / 2, block.width - 1].map(|i| block.x + i);
+        let down = [0, block.height / 2, block.height - 1].map(|j| block.y + j);
+        for (x, y) in down.into_iter().flat_map(|y| across.map(|x| (x, y))) {
+            let (_, point, object) = look(world, &primary.ray_once(x, y)?, x, y);
+            if object {
+                return None;
+            }
+            view.points.push(point?);
+        }
+        Some(view)
+    }
+
     /// True if every pixel centre shows the same matt local mesh and no object.
     pub fn is_plain(&self) -> bool {
-        let same = |p: &Point| p.mesh == self.points[0].mesh && !p.own_material;
-        !self.object && self.points.len() == self.block.n_pixels() && self.points.iter().all(same)
+        let Some(first) = self.points.first() else { return false };
+        let same = |p: &Point| p.mesh == first.mesh && !p.own_material;
+        let everywhere = self.glanced || self.points.len() == self.block.n_pixels();
+        !self.object && everywhere && self.points.iter().all(same)
+    }
+
+    /// Whether its parts can be asked for.
+    pub fn has_parts(&self) -> bool {
+        !self.glanced
     }
 
     /// What `part` of the block shows; `None` if nothing local.
@@ -133,92 +195,88 @@ impl View {
     }
 }
 
+/// What a pixel centre meets first.
 #[derive(Clone, Copy)]
-struct Seen {
+pub struct Seen {
     depth: f32,
     normal: Vec3,
-    local: Option<usize>,
+    local: u32,
+}
+
+impl Seen {
+    const NOTHING: Self = Self { depth: f32::INFINITY, normal: Vec3::ZERO, local: 0 };
 }
 
 impl Guides {
-    /// Guides of the picture, and what `judge` says of the view of each of its `blocks`; `None` for
-    /// blocks that were not looked at before the context was over.
-    pub fn new<T: Send>(
+    /// Guides of the part `window` of the picture; `seen` are whole blocks that were looked at already.
+    pub fn new(
         world: &World,
         primary: &Primary,
-        blocks: &[Block],
-        context: &Context,
-        judge: impl Fn(&View) -> T + Sync,
-    ) -> (Self, Vec<Option<T>>) {
-        let (width, height) = (world.plate.width(), world.plate.height());
+        window: Window,
+        seen: &[(Block, Vec<Seen>)],
+    ) -> Self {
+        let (width, height) = window.size;
         let mut guides = Self {
+            window,
             depth: Image::filled(width, height, f32::INFINITY),
             normal: Image::filled(width, height, Vec3::ZERO),
-            local: Image::filled(width, height, None),
+            local: Image::filled(width, height, 0),
         };
-        let found: Vec<(Vec<Seen>, Option<T>)> = blocks
-            .par_iter()
-            .map(|block| {
-                if context.is_over() {
-                    return (Vec::new(), None);
-                }
-                let (seen, view) = look(world, primary, block);
-                (seen, Some(judge(&view)))
-            })
+        guides.take(seen);
+        let known: BTreeSet<(usize, usize)> = seen.iter().map(|(b, _)| (b.y, b.x)).collect();
+        let rest: Vec<Block> = Block::all(width, height)
+            .into_iter()
+            .map(|b| Block { x: b.x + window.first.0, y: b.y + window.first.1, ..b })
+            .filter(|block| !known.contains(&(block.y, block.x)))
             .collect();
-        let mut judged = Vec::with_capacity(blocks.len());
-        for (block, (seen, judgement)) in blocks.iter().zip(found) {
+        let rest: Vec<(Block, Vec<Seen>)> =
+            rest.par_iter().map(|block| (*block, View::new(world, primary, block).1)).collect();
+        guides.take(&rest);
+        guides
+    }
+
+    fn take(&mut self, seen: &[(Block, Vec<Seen>)]) {
+        for (block, seen) in seen {
             for (k, seen) in seen.iter().enumerate() {
-                let at = block.pixel(k);
-                guides.depth[at] = seen.depth;
-                guides.normal[at] = seen.normal;
-                guides.local[at] = seen.local;
+                let Some(at) = self.window.inside(block.pixel(k)) else { continue };
+                self.depth[at] = seen.depth;
+                self.normal[at] = seen.normal;
+                self.local[at] = seen.local;
             }
-            judged.push(judgement);
         }
-        (guides, judged)
     }
 }
 
-fn look(world: &World, primary: &Primary, block: &Block) -> (Vec<Seen>, View) {
+/// What a ray through a pixel's centre meets first, the local point on it, and whether an object is seen.
+fn look(world: &World, ray: &Ray, x: usize, y: usize) -> (Seen, Option<Point>, bool) {
     let axis = (world.camera.pose.world_from_camera.matrix3 * -glam::DVec3::Z).as_vec3();
-    let mut view = View { block: *block, object: false, points: Vec::new() };
-    let seen = (0..block.n_pixels())
-        .map(|k| {
-            let nothing = Seen { depth: f32::INFINITY, normal: Vec3::ZERO, local: None };
-            let (x, y) = block.pixel(k);
-            let Some(ray) = primary.ray(x, y, 0.5, 0.5) else { return nothing };
-            let sampler = Sampler::new(0, (x, y), 0, 0, Numbers::SobolOwen);
-            let step = world.camera_step(&ray, &sampler);
-            let along = ray.direction.dot(axis);
-            let mut seen = nothing;
-            if let Some(hit) = &step.local {
-                let point = world.local_point(&ray, hit);
-                seen = Seen {
-                    depth: hit.t * along,
-                    normal: point.surface.normal(),
-                    local: Some(point.mesh),
-                };
-                let pixel = glam::Vec2::new(x as f32, y as f32);
-                view.points.push(Point {
-                    x,
-                    y,
-                    position: point.surface.position,
-                    normal: point.surface.geometric,
-                    mesh: point.mesh,
-                    own_material: point.colour == Colouring::Own,
-                    without: world.albedo.irradiance(pixel, point.mesh),
-                });
-            }
-            if let Some(hit) = &step.object {
-                view.object = true;
-                seen.depth = hit.t * along;
-                seen.normal = world.object_point(&ray, hit, false).surface.normal();
-            }
-            seen
-        })
-        .collect();
-    (seen, view)
+    let sampler = Sampler::new(0, (x, y), 0, 0, Numbers::SobolOwen);
+    let step = world.camera_step(ray, &sampler);
+    let along = ray.direction.dot(axis);
+    let mut seen = Seen::NOTHING;
+    let point = step.local.as_ref().map(|hit| {
+        let point = world.local_point(ray, hit);
+        seen = Seen {
+            depth: hit.t * along,
+            normal: point.surface.normal(),
+            local: point.mesh as u32 + 1,
+        };
+        let pixel = glam::Vec2::new(x as f32, y as f32);
+        Point {
+            x,
+            y,
+            position: point.surface.position,
+            normal: point.surface.geometric,
+            mesh: point.mesh,
+            own_material: point.colour == Colouring::Own,
+            without: world.albedo.irradiance(pixel, point.mesh),
+        }
+    });
+    if let Some(hit) = &step.object {
+        seen.depth = hit.t * along;
+        seen.normal = world.object_point(ray, hit, false).surface.normal();
+    }
+    (seen, point, step.object.is_some())
 }
 
 /// A ball around the points of a block and a cone around their normals; `None` of nothing.

@@ -10,12 +10,13 @@ use std::f32::consts::{FRAC_1_PI, PI};
 
 use glam::Vec3;
 
-use super::guides::{Block, Footprint, View};
+use super::guides::{Block, Footprint, Seen, Shape, View};
+use super::primary::Primary;
 use super::sources::Sources;
 use super::world::{PartBall, World, is_flat};
 use crate::conventions::Rgb;
 use crate::light::parts::{Part, parts};
-use crate::scene::{Clearcoat, Material};
+use crate::scene::{Clearcoat, Material, Mesh};
 use crate::trace::Accel;
 
 /// Balls that bound one local mesh.
@@ -36,6 +37,7 @@ struct Riser {
 
 /// Bounds of the objects' influence on a scene.
 pub struct Influence<'w> {
+    shapes: Vec<Shape>,
     parts: &'w [PartBall],
     /// Around all objects; tighter than the parts' sum where they are few and far.
     whole: PartBall,
@@ -47,6 +49,16 @@ pub struct Influence<'w> {
     sure_share: f32,
     /// Smooth objects under a sun or lamp: a flat or hollow mirror can gather more light than `sent`.
     pub may_focus: bool,
+}
+
+/// What is known of a block of pixels before its first sample.
+pub struct Judgement {
+    /// As of [`Influence::bound`]; +∞ too where an object may be seen.
+    pub bound: f32,
+    /// It shows one matt local mesh and no object.
+    pub plain: bool,
+    /// What its pixel centres meet, if they were looked at.
+    pub seen: Option<Vec<Seen>>,
 }
 
 /// A cap of directions.
@@ -63,6 +75,7 @@ impl<'w> Influence<'w> {
         let exact = world.flat && world.lights.proxy().is_none();
         let compact = !world.lights.suns.is_empty() || sources.has_lamps();
         let mut influence = Self {
+            shapes: shapes(world),
             parts: &world.parts,
             sent: most_sent(world, &sources, &whole),
             whole,
@@ -72,9 +85,25 @@ impl<'w> Influence<'w> {
             may_focus: compact && has_smooth_objects(world),
         };
         if !world.flat {
-            influence.risers = influence.find_risers(world);
+            influence.risers = influence.find_risers();
         }
         influence
+    }
+
+    /// What is to be known of a block before its first sample: at a glance where that is enough.
+    pub fn judge(&self, world: &World, primary: &Primary, block: &Block, enough: f32) -> Judgement {
+        if primary.meets(block, self.parts, world.eye) {
+            return Judgement { bound: f32::INFINITY, plain: false, seen: None };
+        }
+        if let Some(view) = View::glance(world, primary, &self.shapes, block) {
+            let bound = self.bound(&view, enough);
+            if bound <= enough {
+                return Judgement { bound, plain: view.is_plain(), seen: None };
+            }
+        }
+        let (view, seen) = View::new(world, primary, block);
+        let bound = self.bound(&view, enough);
+        Judgement { bound, plain: view.is_plain(), seen: Some(seen) }
     }
 
     /// The most that the objects can change in a block, relative to its light without objects, in
@@ -89,7 +118,7 @@ impl<'w> Influence<'w> {
         const SMALLEST: usize = 4;
         let Some(footprint) = view.footprint(part) else { return 0.0 };
         let bound = self.bound_of_footprint(&footprint);
-        if bound <= enough || part.width.max(part.height) <= SMALLEST {
+        if bound <= enough || part.width.max(part.height) <= SMALLEST || !view.has_parts() {
             return bound;
         }
         let mut worst: f32 = 0.0;
@@ -172,17 +201,16 @@ impl<'w> Influence<'w> {
         Some(blocked.max(self.sent * share))
     }
 
-    fn find_risers(&self, world: &World) -> Vec<Riser> {
+    fn find_risers(&self) -> Vec<Riser> {
         let mut risers = Vec::new();
-        for (mesh, local) in world.scene.local.iter().enumerate() {
-            let flat = is_flat(&[&local.mesh]);
-            for bounds in Accel::build(&[&local.mesh]).parts(RISER_PARTS) {
+        for (mesh, Shape { boxes, flat }) in self.shapes.iter().enumerate() {
+            for bounds in boxes {
                 let ball = PartBall { centre: bounds.centre(), radius: bounds.radius() };
                 // Beside the objects everything may be blocked, and as much be sent.
                 let change = self
                     .change(&ball, Vec3::Y, PI)
                     .unwrap_or_else(|| self.sent.max(self.sources.flux(&ball) * FRAC_1_PI));
-                risers.push(Riser { mesh, flat, ball, change });
+                risers.push(Riser { mesh, flat: *flat, ball, change });
             }
         }
         risers
@@ -200,6 +228,16 @@ impl Cap {
         let solid_angle_over_pi = 4.0 * (0.5 * self.half_angle).sin().powi(2);
         (solid_angle_over_pi * self.largest_cosine(normal, spread)).min(1.0)
     }
+}
+
+/// Boxes around every local mesh.
+pub(super) fn shapes(world: &World) -> Vec<Shape> {
+    let of = |mesh: &Mesh| match is_flat(&[mesh]) {
+        // Its own box hides what a block shows beside it as well as many would.
+        true if world.flat => Shape { boxes: vec![mesh.bounds()], flat: true },
+        flat => Shape { boxes: Accel::build(&[mesh]).parts(RISER_PARTS), flat },
+    };
+    world.scene.local.iter().map(|local| of(&local.mesh)).collect()
 }
 
 /// A ball around the objects' vertices.

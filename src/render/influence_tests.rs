@@ -3,14 +3,14 @@
 use glam::Vec3;
 
 use super::albedo::AlbedoMap;
-use super::guides::{Block, Guides};
-use super::influence::Influence;
+use super::guides::{Block, View};
+use super::influence::{Influence, shapes};
 use super::near_tests::{room, table_lamp};
 use super::primary::Primary;
 use super::test_scenes::*;
 use super::world::World;
 use super::{Context, Job, Method, Numbers, Stop, Technique, integrator};
-use crate::camera::Camera;
+use crate::camera::{Camera, Distortion};
 use crate::conventions::Rgb;
 use crate::light::Lights;
 use crate::photo::Image;
@@ -30,11 +30,8 @@ fn bounds(
     AlbedoMap::solve(&mut world, &primary, &Context::new(1));
     let blocks = Block::all(WIDTH, HEIGHT);
     let influence = Influence::new(&world);
-    let context = Context::default();
-    let judge = |view: &super::guides::View| influence.bound(view, 0.01);
-    let (_, bounds) = Guides::new(&world, &primary, &blocks, &context, judge);
-    let bounds: Vec<f32> = bounds.into_iter().flatten().collect();
-    blocks.into_iter().zip(bounds).collect()
+    let judged = |block: Block| (block, influence.judge(&world, &primary, &block, 0.01).bound);
+    blocks.into_iter().map(judged).collect()
 }
 
 /// Every block's change stays below its bound; returns the share of blocks below 1 %.
@@ -118,6 +115,107 @@ fn a_block_that_the_objects_are_far_below_is_exactly_zero() {
     assert!(far > bounds.len() / 4, "{far} of {}", bounds.len());
 }
 
+/// A wide ground with a post 4 mm thick and a low wall, through a bent lens.
+fn thin_things() -> (Scene, Camera) {
+    let grey = AlbedoSource::Constant(Rgb::splat(0.5));
+    let post = rectangle(Vec3::new(0.7, 0.0, 0.2), Vec3::X * 0.004, Vec3::Y * 0.8);
+    let stone = sphere(Vec3::new(-1.0, 0.02, 0.4), 0.02, 2);
+    let things = [ground(2.5), post, stone].map(|mesh| local(mesh, grey));
+    let ball = sphere(Vec3::Y * 0.1, 0.1, 3);
+    let mut camera = corner_camera(WIDTH, HEIGHT, 4.0);
+    camera.lens.distortion =
+        Distortion::BrownConrady { k1: -0.12, k2: 0.05, p1: 1e-3, p2: -5e-4, k3: 0.0 };
+    (scene(vec![ball], matt(0.7), things.to_vec()), camera)
+}
+
+#[test]
+fn a_glance_at_a_block_misses_nothing_that_its_pixels_show() {
+    let lights = uniform_sky(1.0);
+    for (name, (scene, camera)) in
+        [("post", thin_things()), ("prop", small_ball(true)), ("plain", small_ball(false))]
+    {
+        let plate = Image::filled(WIDTH, HEIGHT, Rgb::ONE);
+        let world = World::new(&scene, &lights, &camera, &plate);
+        let primary = Primary::new(&camera, world.eye);
+        let shapes = shapes(&world);
+        let (mut told, mut empty) = (0, 0);
+        for block in Block::all(WIDTH, HEIGHT) {
+            let Some(glance) = View::glance(&world, &primary, &shapes, &block) else { continue };
+            if primary.meets(&block, &world.parts, world.eye) {
+                continue;
+            }
+            let (view, _) = View::new(&world, &primary, &block);
+            let meshes = |view: &View| view.footprint(block).map(|found| found.meshes);
+            assert_eq!(meshes(&glance), meshes(&view), "{name}: {block:?}");
+            assert_eq!(glance.is_plain(), view.is_plain(), "{name}: {block:?}");
+            if let Some((at_once, all)) = glance.footprint(block).zip(view.footprint(block)) {
+                let apart = at_once.ball.centre.distance(all.ball.centre);
+                let needed = apart + all.ball.radius;
+                // Both balls reach to the pixels' far edges by a margin of a twentieth.
+                assert!(needed <= 1.02 * at_once.ball.radius, "{name}: {block:?}");
+            }
+            told += 1;
+            empty += usize::from(meshes(&view).is_none());
+        }
+        let blocks = Block::all(WIDTH, HEIGHT).len();
+        println!("{name}: {told} of {blocks} blocks at a glance, {empty} without anything");
+        assert!(told > blocks / 3, "{name}: {told} of {blocks}");
+    }
+}
+
+#[test]
+fn work_grows_with_what_the_objects_reach_and_not_with_the_plate() {
+    let (scene, small) = small_ball(false);
+    let lights = sunny_sky(50.0, 5.0);
+    let looked_at = |times: usize| {
+        let (width, height) = (times * WIDTH, times * HEIGHT);
+        // The same view of the ball in a corner of an ever larger plate.
+        let camera = small.cropped(0.0, 0.0, 1.0, width, height);
+        let plate = Image::filled(width, height, Rgb::splat(0.2));
+        let mut world = World::new(&scene, &lights, &camera, &plate);
+        let primary = Primary::new(&camera, world.eye);
+        AlbedoMap::solve(&mut world, &primary, &Context::new(1));
+        let influence = Influence::new(&world);
+        let blocks = Block::all(width, height);
+        let judged = blocks.iter().map(|block| influence.judge(&world, &primary, block, 0.005));
+        judged.filter(|judged| judged.bound > 0.005 || judged.seen.is_some()).count()
+    };
+    let (one, nine) = (looked_at(1), looked_at(3));
+    println!("{one} blocks looked at, {nine} in a plate of nine times the size");
+    assert!(one > 20 && nine < 2 * one, "{one} {nine}");
+}
+
+#[test]
+fn a_difference_holds_the_window_that_the_objects_reach() {
+    let (scene, camera) = small_ball(false);
+    let lights = sunny_sky(50.0, 5.0);
+    let plate = Image::filled(WIDTH, HEIGHT, lights.irradiance(Vec3::Y) * 0.16);
+    let job = Job {
+        scene: &scene,
+        lights: &lights,
+        camera: &camera,
+        plate: &plate,
+        stop: Stop::Error(0.1),
+        numbers: Numbers::SobolOwen,
+        least_step: 0.0,
+        denoise: true,
+        technique: Technique::default(),
+    };
+    let mut integrator = integrator(Method::Coupled, job).unwrap();
+    while !integrator.next_wave(&Context::new(3)).finished() {}
+    let (part, whole) = (integrator.snapshot(), integrator.snapshot().whole());
+    assert!(part.window.n_pixels() < WIDTH * HEIGHT / 2, "{:?}", part.window);
+    assert!(part.coverage.pixels().contains(&1.0));
+    assert_eq!(part.coverage.pixels().len(), part.window.n_pixels());
+    for (x, y) in (0..HEIGHT).flat_map(|y| (0..WIDTH).map(move |x| (x, y))) {
+        let at = (x, y);
+        let held = part.window.inside(at).map(|at| (part.difference[at], part.depth[at]));
+        let expected = held.unwrap_or((Rgb::ZERO, f32::INFINITY));
+        assert_eq!((whole.difference[at], whole.depth[at]), expected);
+        assert!(held.is_none_or(|(_, depth)| depth.is_finite()), "the ground is seen everywhere");
+    }
+}
+
 #[test]
 fn samples_go_only_where_something_can_be_seen() {
     let (scene, camera) = small_ball(false);
@@ -136,7 +234,7 @@ fn samples_go_only_where_something_can_be_seen() {
     };
     let mut integrator = integrator(Method::Coupled, job).unwrap();
     while !integrator.next_wave(&Context::new(3)).finished() {}
-    let d = integrator.snapshot();
+    let d = integrator.snapshot().whole();
     let unsampled = d.samples.pixels().iter().filter(|&&n| n == 0).count();
     assert!(unsampled > WIDTH * HEIGHT / 3, "only {unsampled} pixels were left out");
     for (k, &n) in d.samples.pixels().iter().enumerate() {
@@ -173,7 +271,7 @@ fn sparse_quiet_tiles_lose_no_thin_shadow() {
     };
     let mut integrator = integrator(Method::Coupled, job).unwrap();
     while !integrator.next_wave(&Context::new(4)).finished() {}
-    let sparse = integrator.snapshot();
+    let sparse = integrator.snapshot().whole();
     let (wanted, found) = (total(&whole), total(&sparse));
     println!("{wanted} {found}");
     // Both sums are of thousands of samples in the shadow: σ below 1 % together.

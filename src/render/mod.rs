@@ -61,7 +61,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 use crate::conventions::Rgb;
-use crate::photo::Image;
+use crate::photo::{Image, Window};
 
 /// What every long computation is given: seed and cancellation. Threads are rayon's current pool.
 #[derive(Clone, Debug, Default)]
@@ -115,8 +115,15 @@ impl Context {
 /// `object + (1 − coverage) · P + difference` (additive) or
 /// `object + (1 − coverage) · P + ratio · P` (ratio mode, diffuse local surfaces).
 /// All four are exactly zero where no sample met anything of the objects.
+///
+/// The pictures hold a window of the plate, around all pixels with samples; [`whole`](Self::whole) spreads
+/// them over the plate.
 #[derive(Clone, Debug)]
 pub struct Difference {
+    /// Width and height of the plate.
+    pub size: (usize, usize),
+    /// The part of the plate that the pictures below hold; nothing is changed elsewhere.
+    pub window: Window,
     /// Share of the samples that met an object first: alpha, 0…1.
     pub coverage: Image<f32>,
     /// Radiance of the object samples, summed over them and divided by N (premultiplied).
@@ -139,15 +146,23 @@ pub struct Difference {
 }
 
 impl Difference {
-    /// The finished pixel `at`, by addition, where the plate has `plate`.
+    /// The finished pixel `at` of the window, by addition, where the plate has `plate`.
     pub fn over(&self, plate: Rgb, at: (usize, usize)) -> Rgb {
         self.object[at] + plate * (1.0 - self.coverage[at]) + self.difference[at]
     }
 
     /// What no object at all makes of a picture of `width` × `height` pixels.
     pub fn nothing(width: usize, height: usize) -> Self {
+        Self::nothing_within((width, height), Window::whole(width, height))
+    }
+
+    /// The same, held for a window.
+    pub fn nothing_within(size: (usize, usize), window: Window) -> Self {
+        let (width, height) = window.size;
         let black = Image::filled(width, height, Rgb::ZERO);
         Self {
+            size,
+            window,
             coverage: Image::filled(width, height, 0.0),
             object: black.clone(),
             difference: black.clone(),
@@ -158,6 +173,25 @@ impl Difference {
             normal: black,
             samples: Image::filled(width, height, 0),
         }
+    }
+
+    /// The same, held for all of the plate.
+    pub fn whole(&self) -> Self {
+        let (width, height) = self.size;
+        let mut out = Self::nothing(width, height);
+        for k in 0..self.window.n_pixels() {
+            let at = self.window.pixel(k);
+            out.coverage[at] = self.coverage.pixels()[k];
+            out.object[at] = self.object.pixels()[k];
+            out.difference[at] = self.difference.pixels()[k];
+            out.ratio[at] = self.ratio.pixels()[k];
+            out.stderr[at] = self.stderr.pixels()[k];
+            out.albedo[at] = self.albedo.pixels()[k];
+            out.depth[at] = self.depth.pixels()[k];
+            out.normal[at] = self.normal.pixels()[k];
+            out.samples[at] = self.samples.pixels()[k];
+        }
+        out
     }
 }
 

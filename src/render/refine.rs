@@ -35,20 +35,19 @@ pub fn refine(
     floors: Floors,
 ) -> Option<Refinement> {
     let frame = frame(tiles)?;
+    // What has samples lies in the window.
+    let (left, top) = guides.window.first;
+    let guide = |x: usize, y: usize| (frame.x + x - left, frame.y + y - top);
     let halves = gather(tiles, plate, floors.dark, &frame);
     let ratio = filter(
         &halves,
         |h| (h.ratio, h.ratio_mass),
-        |x, y| guides.local[(frame.x + x, frame.y + y)].map_or(0, |mesh| mesh as u32 + 1),
+        |x, y| guides.local[guide(x, y)],
         // What is lost goes with the place; at an outline the normal would be the object's.
         |_, _| Rgb::ZERO,
     );
-    let object = filter(
-        &halves,
-        |h| (h.object, h.object_mass),
-        |_, _| 1,
-        |x, y| guides.normal[(frame.x + x, frame.y + y)],
-    );
+    let object =
+        filter(&halves, |h| (h.object, h.object_mass), |_, _| 1, |x, y| guides.normal[guide(x, y)]);
     let estimates: Vec<Vec<Estimate>> = tiles
         .par_iter()
         .map(|tile| {
@@ -159,7 +158,7 @@ mod tests {
         loop {
             let wave = integrator.next_wave(&context);
             if wave.finished() {
-                return (integrator.snapshot(), wave);
+                return (integrator.snapshot().whole(), wave);
             }
         }
     }

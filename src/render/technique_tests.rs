@@ -48,7 +48,7 @@ fn look(technique: Technique, material: Material, lights: &Lights, distance: f32
     let mut integrator = integrator(Method::Coupled, job).unwrap();
     let context = Context::new(3);
     while !integrator.next_wave(&context).finished() {}
-    integrator.snapshot()
+    integrator.snapshot().whole()
 }
 
 #[test]

@@ -138,7 +138,7 @@ pub fn render(
     let mut integrator = integrator(method, job).unwrap();
     let context = Context::new(seed);
     while !integrator.next_wave(&context).finished() {}
-    integrator.snapshot()
+    integrator.snapshot().whole()
 }
 
 /// Mean ratio over the picture and its standard error from the pixels' scatter.

@@ -16,7 +16,7 @@ use rayon::prelude::*;
 
 use super::film::Sample;
 use super::guides::{Block, Guides};
-use super::influence::Influence;
+use super::influence::{Influence, Judgement};
 use super::job::Job;
 use super::primary::Primary;
 use super::refine::{Refinement, refine};
@@ -25,7 +25,7 @@ use super::tile::{Floors, Grid, Tile};
 use super::world::World;
 use super::{Context, Difference, Integrator, Progress, Stop, Wave};
 use crate::conventions::{Rgb, luminance};
-use crate::photo::Image;
+use crate::photo::{Image, Window};
 
 /// Independent replicates that a finished picture aims at.
 const REPLICATES: u32 = 8;
@@ -66,6 +66,15 @@ pub trait Estimator: Sync {
 fn mean_brightness(plate: &Image<Rgb>) -> f32 {
     let sum: f64 = plate.pixels().iter().map(|&p| f64::from(luminance(p).max(0.0))).sum();
     (sum / plate.pixels().len().max(1) as f64) as f32
+}
+
+/// The smallest window around blocks; an empty one around none.
+fn around(blocks: impl Iterator<Item = Block> + Clone) -> Window {
+    let low = |side: fn(&Block) -> usize| blocks.clone().map(|b| side(&b)).min().unwrap_or(0);
+    let high = |side: fn(&Block) -> usize| blocks.clone().map(|b| side(&b)).max().unwrap_or(0);
+    let first = (low(|b| b.x), low(|b| b.y));
+    let end = (high(|b| b.x + b.width), high(|b| b.y + b.height));
+    Window { first, size: (end.0 - first.0, end.1 - first.1) }
 }
 
 /// Brightness below which errors are not magnified.
@@ -135,26 +144,28 @@ impl<E: Estimator> Waves<E> {
     fn begin(&mut self, context: &Context) {
         self.estimator.solve_albedo(context);
         let (world, primary) = (self.estimator.world(), self.estimator.primary());
-        let blocks: Vec<Block> = self.tiles.iter().map(|tile| tile.block).collect();
         let (influence, unseen) = (Influence::new(world), self.unseen());
-        let (guides, bounds) = Guides::new(world, primary, &blocks, context, |view| {
-            let objects = primary.meets(&view.block, &world.parts, world.eye);
-            if objects {
-                return (f32::INFINITY, false);
-            }
-            (influence.bound(view, unseen), view.is_plain())
-        });
-        for (tile, bound) in self.tiles.iter_mut().zip(bounds) {
+        let judge = |tile: &Tile| {
+            (!context.is_over()).then(|| influence.judge(world, primary, &tile.block, unseen))
+        };
+        let judged: Vec<Option<Judgement>> = self.tiles.par_iter().map(judge).collect();
+        let mut seen = Vec::new();
+        for (tile, judgement) in self.tiles.iter_mut().zip(judged) {
             // What was not looked at may be changed by any amount.
-            let (bound, plain) = bound.unwrap_or((f32::INFINITY, false));
+            let (bound, plain) =
+                judgement.as_ref().map_or((f32::INFINITY, false), |j| (j.bound, j.plain));
             tile.plain = plain;
             tile.doubtful = bound <= unseen && influence.may_focus && bound > 0.0;
             // A focused reflection may be as thin as a line.
             tile.grid = if tile.doubtful { Grid::FULL } else { PILOT_GRID };
             let matters = bound > unseen || tile.doubtful;
             tile.planned = if matters { PILOT_REPLICATES } else { 0 };
+            seen.extend(judgement.and_then(|j| j.seen).map(|seen| (tile.block, seen)));
         }
-        self.guides = Some(guides);
+        let window = around(self.tiles.iter().filter(|tile| tile.planned > 0).map(|t| t.block));
+        if !context.is_over() {
+            self.guides = Some(Guides::new(world, primary, window, &seen));
+        }
     }
 
     /// Ends the pilot: it is marked to give way, and tiles that only a focused reflection could have
@@ -396,7 +407,9 @@ impl<E: Estimator> Integrator for Waves<E> {
 
     fn snapshot(&self) -> Difference {
         let world = self.estimator.world();
-        let mut out = Difference::nothing(world.plate.width(), world.plate.height());
+        let window = around(self.tiles.iter().filter(|t| t.replicates > 0).map(|t| t.block));
+        let size = (world.plate.width(), world.plate.height());
+        let mut out = Difference::nothing_within(size, window);
         let refined = self.refinement.as_ref().map(|refinement| &refinement.estimates);
         for (t, tile) in self.tiles.iter().enumerate() {
             for k in 0..tile.block.n_pixels() {
@@ -405,7 +418,7 @@ impl<E: Estimator> Integrator for Waves<E> {
                     None => tile.estimate(k, world.plate, self.floors.dark),
                 };
                 let Some(estimate) = estimate else { continue };
-                let at = tile.block.pixel(k);
+                let Some(at) = window.inside(tile.block.pixel(k)) else { continue };
                 out.coverage[at] = estimate.coverage;
                 out.object[at] = estimate.object;
                 out.difference[at] = estimate.difference;
@@ -415,9 +428,16 @@ impl<E: Estimator> Integrator for Waves<E> {
             }
         }
         if let Some(guides) = &self.guides {
-            out.depth = guides.depth.clone();
-            out.normal = guides.normal.clone();
-            out.albedo = world.albedo.layer(world, &guides.local);
+            let of_guides = |k| guides.window.inside(window.pixel(k));
+            for k in 0..window.n_pixels() {
+                let Some(at) = of_guides(k) else { continue };
+                out.depth.pixels_mut()[k] = guides.depth[at];
+                out.normal.pixels_mut()[k] = guides.normal[at];
+                let mesh = guides.local[at].checked_sub(1);
+                out.albedo.pixels_mut()[k] = mesh.map_or(Rgb::ZERO, |mesh| {
+                    world.albedo.shown(world, mesh as usize, window.pixel(k))
+                });
+            }
         }
         out
     }
@@ -505,7 +525,7 @@ mod tests {
                 }
             }
         });
-        (wave, waves.snapshot(), drawn.load(Ordering::Relaxed))
+        (wave, waves.snapshot().whole(), drawn.load(Ordering::Relaxed))
     }
 
     #[test]

@@ -1,5 +1,6 @@
 //! A photograph to draw on: antialiased lines and circles over an 8-bit sRGB picture.
 
+use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 
 use glam::DVec2;
@@ -42,11 +43,16 @@ impl Canvas {
         Self::encoded(linear, |l| srgb_encode(l.max(0.0)))
     }
 
-    /// A photograph as viewers show it: through the camera's own curve where that is known.
-    pub fn of(photo: &Photo) -> Self {
+    /// A photograph as viewers show it, `reduced` × `reduced` of its pixels in one: through the camera's own
+    /// curve where that is known.
+    pub fn of(photo: &Photo, reduced: usize) -> Self {
+        let linear = match reduced {
+            0 | 1 => Cow::Borrowed(&photo.linear),
+            n => Cow::Owned(photo.linear.reduced(n)),
+        };
         match &photo.encoding.transfer {
-            Transfer::Measured(curve) => Self::encoded(&photo.linear, |l| curve.encode(l)),
-            Transfer::Linear | Transfer::Srgb | Transfer::Gamma(_) => Self::new(&photo.linear),
+            Transfer::Measured(curve) => Self::encoded(&linear, |l| curve.encode(l)),
+            Transfer::Linear | Transfer::Srgb | Transfer::Gamma(_) => Self::new(&linear),
         }
     }
 

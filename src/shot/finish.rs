@@ -220,7 +220,10 @@ fn write_pictures(
     outputs: &mut Outputs,
 ) -> Result<Vec<Picture>, RunError> {
     let before = files.path("before", "png");
-    write::canvas(&before, report::Canvas::of(&plan.plate))?;
+    write::canvas(
+        &before,
+        report::Canvas::of(&plan.plate, overlays::reduction(&plan.plate.linear)),
+    )?;
     outputs.wrote(before);
     let mut pictures = Vec::new();
     for overlay in overlays::draw(plan, prepared) {
@@ -332,9 +335,10 @@ fn border_warning(
                 if !prepared.camera.shows(pixel) {
                     continue;
                 }
-                let at = (pixel.x.round() as usize, pixel.y.round() as usize);
-                let d = difference.difference[at];
                 seen += 1;
+                let at = (pixel.x.round() as usize, pixel.y.round() as usize);
+                let Some(at) = difference.window.inside(at) else { continue };
+                let d = difference.difference[at];
                 let plate_noise = 2.0 * difference.stderr[at];
                 let visible = d.abs().cmpgt(plate_noise).any()
                     && difference.ratio[at].abs().max_element() > 0.01;

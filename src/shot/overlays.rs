@@ -1,10 +1,11 @@
 //! The overlays of a shot: what was found, over the photographs it was found in.
 
-use glam::DVec3;
+use glam::{DVec2, DVec3};
 
 use super::place;
 use super::plan::Plan;
 use super::prepare::Prepared;
+use crate::camera::Camera;
 use crate::conventions::Rgb;
 use crate::photo::{self, Image, Photo, ReadOptions};
 use crate::report::{Canvas, overlay};
@@ -26,9 +27,23 @@ pub fn draw(plan: &Plan, prepared: &Prepared) -> Vec<Overlay> {
     overlays
 }
 
+/// Longest side of pictures that are only looked at, pixels: a screen has no more.
+const LONGEST: usize = 4096;
+
+/// How many pixels of a picture become one, across and down, where it is only looked at.
+pub fn reduction(picture: &Image<Rgb>) -> usize {
+    picture.width().max(picture.height()).div_ceil(LONGEST).max(1)
+}
+
+/// The camera of a picture reduced so.
+fn reduced_camera(camera: &Camera, n: usize) -> Camera {
+    camera.cropped(0.0, 0.0, 1.0 / n as f64, camera.width / n, camera.height / n)
+}
+
 fn support(plan: &Plan, prepared: &Prepared) -> Overlay {
-    let mut canvas = Canvas::of(&plan.plate);
-    let camera = &prepared.camera;
+    let n = reduction(&plan.plate.linear);
+    let mut canvas = Canvas::of(&plan.plate, n);
+    let camera = &reduced_camera(&prepared.camera, n);
     let foot = place::foot(plan);
     // One step of the axes is about a tenth of the distance: well seen at any scale.
     let step = round_length(0.1 * camera.pose.position().distance(foot));
@@ -58,8 +73,9 @@ fn ball(plan: &Plan, prepared: &Prepared) -> Option<Overlay> {
     let (camera, rim) = prepared.light.ball.as_ref()?;
     // The middle exposure shows the rim best.
     let photo = plan.probe_photos.get(plan.probe_photos.len() / 2)?;
-    let mut canvas = Canvas::new(&bright(photo));
-    overlay::rim(&mut canvas, camera, rim.axis, rim.half_angle_rad);
+    let n = reduction(&photo.linear);
+    let mut canvas = Canvas::new(&bright(photo).reduced(n));
+    overlay::rim(&mut canvas, &reduced_camera(camera, n), rim.axis, rim.half_angle_rad);
     Some(Overlay {
         name: "overlay_ball",
         title: "Rim of the mirror ball",
@@ -70,18 +86,23 @@ fn ball(plan: &Plan, prepared: &Prepared) -> Option<Overlay> {
 
 fn pose(plan: &Plan, prepared: &Prepared) -> Option<Overlay> {
     let first = prepared.seen.first()?;
-    let mut canvas = match &first.photo {
+    let (mut canvas, n) = match &first.photo {
         Some(path) => {
             // It was read a moment ago; if it is gone since, there is no overlay.
             let photo = photo::read(path, &ReadOptions::default()).ok()?;
-            Canvas::new(&bright(&photo))
+            let n = reduction(&photo.linear);
+            (Canvas::new(&bright(&photo).reduced(n)), n)
         }
-        None => Canvas::of(&plan.plate),
+        None => {
+            let n = reduction(&plan.plate.linear);
+            (Canvas::of(&plan.plate, n), n)
+        }
     };
+    let reduced = |pixel: DVec2| (pixel + 0.5) / n as f64 - 0.5;
     for seen in prepared.seen.iter().filter(|seen| seen.photo == first.photo) {
-        let measured: Vec<_> = seen.sightings.iter().map(|s| s.pixel).collect();
-        let expected: Vec<_> =
-            seen.sightings.iter().map(|s| prepared.seen_by.project_world(s.world)).collect();
+        let measured: Vec<_> = seen.sightings.iter().map(|s| reduced(s.pixel)).collect();
+        let expected = seen.sightings.iter().map(|s| prepared.seen_by.project_world(s.world));
+        let expected: Vec<_> = expected.map(|pixel| pixel.map(reduced)).collect();
         overlay::corners(&mut canvas, &measured, &expected);
     }
     Some(Overlay {

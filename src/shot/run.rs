@@ -17,7 +17,7 @@ use super::watch::{Stopwatch, Watch, cpu_seconds};
 use super::write::{self, FileMark, OutFiles};
 use crate::composite::{Mode, compose};
 use crate::conventions::Rgb;
-use crate::photo::{Image, PhotoError, atomic};
+use crate::photo::{Image, PhotoError, Window, atomic};
 use crate::render::{
     self, Context, Difference, Job, Numbers, Progress, RenderError, Stop, Technique,
 };
@@ -258,7 +258,7 @@ fn render_shot(
     if plan.objects.is_empty() {
         let (width, height) = (plan.plate.linear.width(), plan.plate.linear.height());
         make_folder(&files.folder)?;
-        return Ok((Difference::nothing(width, height), report));
+        return Ok((Difference::nothing_within((width, height), Window::default()), report));
     }
     let job = Job {
         scene: &prepared.scene,

@@ -66,7 +66,7 @@ impl<'a> Bench<'a> {
         reduced: usize,
         context: &Context,
     ) -> Result<Self, RenderError> {
-        let plate = reduce(&plan.plate.linear, reduced);
+        let plate = plan.plate.linear.reduced(reduced);
         let (width, height) = (plate.width(), plate.height());
         let camera = prepared.camera.cropped(0.0, 0.0, 1.0 / reduced as f64, width, height);
         let small = Small { plan, prepared, reduced, plate, camera };
@@ -130,7 +130,7 @@ impl<'a> Bench<'a> {
         // Where nobody counts the processor's time, all threads are taken to have worked.
         let cpu_seconds = cpu.unwrap_or(seconds * rayon::current_num_threads() as f64);
         Ok(Some(Rendering {
-            difference: integrator.snapshot(),
+            difference: integrator.snapshot().whole(),
             stated: wave.error,
             samples,
             seconds,
@@ -174,29 +174,5 @@ impl Rendering {
             bias: found.bias,
             bias_sigma: found.bias_sigma,
         }
-    }
-}
-
-/// Means of squares of `n` × `n` pixels; what does not fill one at the right and lower edge is left out.
-fn reduce(picture: &Image<Rgb>, n: usize) -> Image<Rgb> {
-    let (width, height) = ((picture.width() / n).max(1), (picture.height() / n).max(1));
-    let n = n.min(picture.width()).min(picture.height());
-    Image::from_fn(width, height, |x, y| {
-        let square = (0..n * n).map(|k| picture[(x * n + k % n, y * n + k / n)]);
-        square.sum::<Rgb>() / (n * n) as f32
-    })
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_reduced_plate_is_the_mean_of_its_pixels() {
-        let plate = Image::from_fn(7, 5, |x, y| Rgb::splat((x + 10 * y) as f32));
-        let small = reduce(&plate, 2);
-        assert_eq!((small.width(), small.height()), (3, 2));
-        assert_eq!(small[(1, 1)], Rgb::splat((22.0 + 23.0 + 32.0 + 33.0) / 4.0));
-        assert_eq!(reduce(&plate, 1).pixels(), plate.pixels());
     }
 }
