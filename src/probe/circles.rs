@@ -241,13 +241,13 @@ pub fn refine(
 /// Draws edge points for RANSAC: a sector at random, in it every other time any edge, else the
 /// outermost with probability ½, the next with ¼ and so on. The rim is the outermost ring, so triples
 /// lie on it far more often than chance.
-struct OutermostFirst {
+pub(super) struct OutermostFirst {
     sectors: Vec<Vec<DVec2>>,
     random: u64,
 }
 
 impl OutermostFirst {
-    fn new(edges: &[Edge], centre: DVec2, radius: f64) -> Self {
+    pub(super) fn new(edges: &[Edge], centre: DVec2, radius: f64) -> Self {
         let n = sectors(radius);
         let mut sectors: Vec<Vec<DVec2>> = vec![Vec::new(); n];
         for edge in edges {
@@ -260,7 +260,7 @@ impl OutermostFirst {
         Self { sectors, random: 0x9E37_79B9_7F4A_7C15 ^ (((radius * 16.0) as u64) << 20) }
     }
 
-    fn next(&mut self) -> DVec2 {
+    pub(super) fn next(&mut self) -> DVec2 {
         self.random ^= self.random << 13;
         self.random ^= self.random >> 7;
         self.random ^= self.random << 17;
@@ -307,22 +307,8 @@ pub fn measure(
     })
 }
 
-/// One edge for each of many sectors: the outermost within `reach` px of the circle, along it.
-pub fn outermost_in_sectors(edges: &[Edge], circle: &Circle, reach: f64) -> Vec<DVec2> {
-    let n = sectors(circle.radius) * 3;
-    let mut outermost: Vec<Option<(f64, DVec2)>> = vec![None; n];
-    for edge in edges.iter().filter(|e| on_circle(e, circle.centre, circle.radius, reach)) {
-        let out = edge.at - circle.centre;
-        let slot = &mut outermost[sector(out, n)];
-        if slot.is_none_or(|(most, _)| out.length() > most) {
-            *slot = Some((out.length(), edge.at));
-        }
-    }
-    outermost.into_iter().flatten().map(|(_, at)| at).collect()
-}
-
 /// Which of `n` sectors the direction `out` falls into.
-fn sector(out: DVec2, n: usize) -> usize {
+pub(super) fn sector(out: DVec2, n: usize) -> usize {
     let turn = out.to_angle().rem_euclid(2.0 * PI) / (2.0 * PI);
     ((turn * n as f64) as usize).min(n - 1)
 }
@@ -332,7 +318,7 @@ fn sectors(radius: f64) -> usize {
     ((2.0 * PI * radius / 3.0) as usize).clamp(12, MAX_SECTORS)
 }
 
-fn on_circle(edge: &Edge, centre: DVec2, radius: f64, tolerance: f64) -> bool {
+pub(super) fn on_circle(edge: &Edge, centre: DVec2, radius: f64, tolerance: f64) -> bool {
     let out = edge.at - centre;
     let r = out.length();
     (r - radius).abs() < tolerance && out.dot(edge.towards).abs() > ALONG * r
@@ -349,7 +335,7 @@ fn supported(edges: &[Edge], centre: DVec2, radius: f64, tolerance: f64) -> usiz
 }
 
 /// Centre and radius of the circle through three points.
-fn through(a: DVec2, b: DVec2, c: DVec2) -> Option<(DVec2, f64)> {
+pub(super) fn through(a: DVec2, b: DVec2, c: DVec2) -> Option<(DVec2, f64)> {
     let (p, q) = (b - a, c - a);
     let cross = 2.0 * p.perp_dot(q);
     if cross.abs() < 1e-3 * p.length() * q.length() {

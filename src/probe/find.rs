@@ -14,6 +14,7 @@ use super::ball::{Ball, Mirror};
 use super::circles::{self, Circle, Frame};
 use super::edges::{self, Edge};
 use super::rim::{self, Rim};
+use super::ring;
 use super::unwrap::pixel_angle;
 use crate::camera::{Camera, Lens};
 use crate::conventions::Rgb;
@@ -34,11 +35,8 @@ const CANDIDATES: usize = 6;
 const LEAST_SCORE: f64 = 0.35;
 /// With a clean plate, a score below this makes the finder look again without it.
 const TRUSTED_SCORE: f64 = 0.5;
-/// How far edge points may be off the rim, px of the fine picture.
-const TOLERANCE_PX: f64 = 1.5;
-/// Edge points this near the circle stand for the rim, px of the fine picture. Wider lets the
-/// background in: at 4 px inliers fall from 0.92 to 0.75.
-const REACH_PX: f64 = 2.0;
+/// How far edge points may be off the rim, in widths of the ring they make.
+const TOLERANCE: f64 = 2.5;
 /// Edges this far off the axis are left out, rad: the plane of the search ends at 3.7 times its
 /// width at 90°; straight behind it would be infinite.
 const FARTHEST_OFF_AXIS_RAD: f64 = 150.0 * std::f64::consts::PI / 180.0;
@@ -386,13 +384,13 @@ fn choose(closer: &[Candidate]) -> Option<&Candidate> {
 fn fit(plane: &Plane, candidate: &Candidate) -> Result<Rim, ProbeError> {
     let Candidate { circle, edges, scale, .. } = candidate;
     let small = Circle { centre: circle.centre / *scale, radius: circle.radius / scale, ..*circle };
-    let rays: Vec<DVec3> = circles::outermost_in_sectors(edges, &small, REACH_PX)
-        .into_iter()
-        .map(|p| plane.ray(p * *scale))
-        .collect();
+    let ring = ring::find(edges, &small).ok_or_else(|| ProbeError::NoBall {
+        reason: "too few edges lie along its outline".into(),
+    })?;
+    let rays: Vec<DVec3> = ring.points(edges).into_iter().map(|p| plane.ray(p * *scale)).collect();
     let pixel = pixel_angle(plane.lens, plane.ray(circle.centre))
         .ok_or_else(|| ProbeError::NoBall { reason: "it lies outside the lens's field".into() })?;
-    rim::fit(&rays, pixel * scale, TOLERANCE_PX)
+    rim::fit(&rays, pixel * scale, TOLERANCE * ring.width)
 }
 
 /// The rim of a hint taken as it is.
@@ -404,7 +402,7 @@ fn hinted(plane: &Plane, hint: [f64; 3]) -> Result<Rim, ProbeError> {
             plane.ray(circle.centre + DVec2::from_angle(turn) * circle.radius)
         })
         .collect();
-    let cone = rim::fit(&rays, circle.radius / plane.focal() * 1e-3, TOLERANCE_PX)?;
+    let cone = rim::fit(&rays, circle.radius / plane.focal() * 1e-3, 1.0)?;
     let sigma =
         (HINT_SIGMA * cone.half_angle_rad).max(pixel_angle(plane.lens, cone.axis).unwrap_or(0.0));
     Ok(Rim::known(cone.axis, cone.half_angle_rad, sigma))

@@ -22,6 +22,7 @@ pub mod panorama;
 pub mod photographed;
 pub mod resample;
 pub mod rim;
+pub mod ring;
 pub mod unwrap;
 
 pub use self::ball::Ball;
