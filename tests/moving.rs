@@ -8,7 +8,6 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU32, Ordering};
 
 use glam::DVec3;
-use platelight::camera::{Camera, Lens, Pose};
 use platelight::photo::{self, Image, ReadOptions};
 use platelight::render::Context;
 use platelight::report::Warning;
@@ -16,7 +15,7 @@ use platelight::shot::ShotFile;
 use platelight::shot::run::{RunOptions, run_frames};
 use platelight::shot::watch::{Silent, Watch};
 use program::{platelight, text};
-use tiny::{HEIGHT, Plate, WIDTH, write_shot};
+use tiny::{HEIGHT, Plate, WIDTH, camera, write_shot};
 
 /// Half a side of the box, metres.
 const HALF: f32 = 0.1;
@@ -105,13 +104,7 @@ fn columns_shown(composite: &Path) -> RangeInclusive<usize> {
 
 /// The same from the box's corners and the camera of [`write_shot`].
 fn columns_expected(x: f64) -> RangeInclusive<usize> {
-    let pose = Pose::look_at(DVec3::new(0.0, 1.0, 1.0), DVec3::ZERO, DVec3::Y);
-    let camera = Camera {
-        width: WIDTH,
-        height: HEIGHT,
-        lens: Lens::pinhole(60.0, WIDTH, HEIGHT),
-        pose: pose.expect("the camera looks at the origin"),
-    };
+    let camera = camera();
     let half = f64::from(HALF);
     let columns = (0..8).map(|i| {
         let side = |bit: i32| if i >> bit & 1 == 0 { -half } else { half };

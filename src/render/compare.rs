@@ -143,9 +143,10 @@ mod tests {
     use super::*;
     use crate::light::Lights;
     use crate::render::test_scenes::{
-        corner_camera, ground, local, matt, scene, sphere, sunny_sky, uniform_sky,
+        corner_camera, finish, ground, local, matt, plain_job, scene, sphere, sunny_sky,
+        uniform_sky,
     };
-    use crate::render::{Context, Job, Method, Numbers, Stop, Technique, integrator};
+    use crate::render::{Job, Method, Stop};
     use crate::scene::AlbedoSource;
 
     /// A shadow of half the light over the left half of a grey picture.
@@ -203,25 +204,10 @@ mod tests {
     fn render(lights: &Lights, stop: Stop, denoise: bool, seed: u64) -> (Difference, f64) {
         let ball = sphere(glam::Vec3::new(0.0, 0.3, 0.0), 0.3, 3);
         let scene = scene(vec![ball], matt(0.5), vec![local(ground(8.0), AlbedoSource::Plate)]);
-        let job = Job {
-            scene: &scene,
-            lights,
-            camera: &corner_camera(96, 72, 3.5),
-            plate: &plate(),
-            stop,
-            numbers: Numbers::SobolOwen,
-            least_step: 0.0,
-            denoise,
-            technique: Technique::default(),
-        };
-        let mut integrator = integrator(Method::Coupled, job).unwrap();
-        let context = Context::new(seed);
-        loop {
-            let wave = integrator.next_wave(&context);
-            if wave.finished() {
-                return (integrator.snapshot().whole(), wave.error);
-            }
-        }
+        let (camera, plate) = (corner_camera(96, 72, 3.5), plate());
+        let job = Job { denoise, ..plain_job(&scene, lights, &camera, &plate, stop) };
+        let (difference, wave) = finish(Method::Coupled, job, seed);
+        (difference.whole(), wave.error)
     }
 
     fn plate() -> Image<Rgb> {

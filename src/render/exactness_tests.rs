@@ -102,17 +102,7 @@ fn a_cancelled_context_stops_at_once() {
     let camera = corner_camera(40, 30, 3.0);
     let plate = Image::filled(40, 30, Rgb::ONE);
     let lights = uniform_sky(1.0);
-    let job = Job {
-        scene: &scene,
-        lights: &lights,
-        camera: &camera,
-        plate: &plate,
-        stop: Stop::Samples(1 << 20),
-        numbers: Numbers::SobolOwen,
-        least_step: 0.0,
-        denoise: false,
-        technique: Technique::default(),
-    };
+    let job = plain_job(&scene, &lights, &camera, &plate, Stop::Samples(1 << 20));
     let context = Context::new(1);
     context.cancel();
     let wave = integrator(Method::Coupled, job).unwrap().next_wave(&context);

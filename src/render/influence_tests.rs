@@ -9,7 +9,7 @@ use super::near_tests::{room, table_lamp};
 use super::primary::Primary;
 use super::test_scenes::*;
 use super::world::World;
-use super::{Context, Job, Method, Numbers, Stop, Technique, integrator};
+use super::{Context, Job, Method, Stop};
 use crate::camera::{Camera, Distortion};
 use crate::conventions::Rgb;
 use crate::light::Lights;
@@ -190,20 +190,10 @@ fn a_difference_holds_the_window_that_the_objects_reach() {
     let (scene, camera) = small_ball(false);
     let lights = sunny_sky(50.0, 5.0);
     let plate = Image::filled(WIDTH, HEIGHT, lights.irradiance(Vec3::Y) * 0.16);
-    let job = Job {
-        scene: &scene,
-        lights: &lights,
-        camera: &camera,
-        plate: &plate,
-        stop: Stop::Error(0.1),
-        numbers: Numbers::SobolOwen,
-        least_step: 0.0,
-        denoise: true,
-        technique: Technique::default(),
-    };
-    let mut integrator = integrator(Method::Coupled, job).unwrap();
-    while !integrator.next_wave(&Context::new(3)).finished() {}
-    let (part, whole) = (integrator.snapshot(), integrator.snapshot().whole());
+    let job =
+        Job { denoise: true, ..plain_job(&scene, &lights, &camera, &plate, Stop::Error(0.1)) };
+    let (part, _) = finish(Method::Coupled, job, 3);
+    let whole = part.whole();
     assert!(part.window.n_pixels() < WIDTH * HEIGHT / 2, "{:?}", part.window);
     assert!(part.coverage.pixels().contains(&1.0));
     assert_eq!(part.coverage.pixels().len(), part.window.n_pixels());
@@ -221,20 +211,8 @@ fn samples_go_only_where_something_can_be_seen() {
     let (scene, camera) = small_ball(false);
     let lights = sunny_sky(50.0, 5.0);
     let plate = Image::filled(WIDTH, HEIGHT, lights.irradiance(Vec3::Y) * 0.16);
-    let job = Job {
-        scene: &scene,
-        lights: &lights,
-        camera: &camera,
-        plate: &plate,
-        stop: Stop::Error(0.1),
-        numbers: Numbers::SobolOwen,
-        least_step: 0.0,
-        denoise: false,
-        technique: Technique::default(),
-    };
-    let mut integrator = integrator(Method::Coupled, job).unwrap();
-    while !integrator.next_wave(&Context::new(3)).finished() {}
-    let d = integrator.snapshot().whole();
+    let job = plain_job(&scene, &lights, &camera, &plate, Stop::Error(0.1));
+    let d = finish(Method::Coupled, job, 3).0.whole();
     let unsampled = d.samples.pixels().iter().filter(|&&n| n == 0).count();
     assert!(unsampled > WIDTH * HEIGHT / 3, "only {unsampled} pixels were left out");
     for (k, &n) in d.samples.pixels().iter().enumerate() {
@@ -258,20 +236,8 @@ fn sparse_quiet_tiles_lose_no_thin_shadow() {
     let lights = sunny_sky(40.0, 5.0);
     let plate = Image::filled(WIDTH, HEIGHT, lights.irradiance(Vec3::Y) * 0.16);
     let whole = render(&scene, &lights, &camera, &plate, Method::Coupled, 64, 3);
-    let job = Job {
-        scene: &scene,
-        lights: &lights,
-        camera: &camera,
-        plate: &plate,
-        stop: Stop::Error(0.05),
-        numbers: Numbers::SobolOwen,
-        least_step: 0.0,
-        denoise: false,
-        technique: Technique::default(),
-    };
-    let mut integrator = integrator(Method::Coupled, job).unwrap();
-    while !integrator.next_wave(&Context::new(4)).finished() {}
-    let sparse = integrator.snapshot().whole();
+    let job = plain_job(&scene, &lights, &camera, &plate, Stop::Error(0.05));
+    let sparse = finish(Method::Coupled, job, 4).0.whole();
     let (wanted, found) = (total(&whole), total(&sparse));
     println!("{wanted} {found}");
     // Both sums are of thousands of samples in the shadow: σ below 1 % together.

@@ -125,9 +125,7 @@ mod tests {
     use crate::conventions::Rgb;
     use crate::photo::Image;
     use crate::render::test_scenes::*;
-    use crate::render::{
-        Context, Difference, Job, Method, Numbers, Stop, Technique, Wave, integrator,
-    };
+    use crate::render::{Difference, Job, Method, Stop, Wave};
     use crate::scene::AlbedoSource;
 
     const WIDTH: usize = 96;
@@ -142,25 +140,10 @@ mod tests {
         let shown = lights.irradiance(Vec3::Y) * 0.5 * std::f32::consts::FRAC_1_PI;
         let plate = Image::filled(WIDTH, HEIGHT, shown);
         let camera = corner_camera(WIDTH, HEIGHT, 2.5);
-        let job = Job {
-            scene: &scene,
-            lights: &lights,
-            camera: &camera,
-            plate: &plate,
-            stop: Stop::Samples(samples),
-            numbers: Numbers::SobolOwen,
-            least_step: 0.0,
-            denoise,
-            technique: Technique::default(),
-        };
-        let mut integrator = integrator(Method::Coupled, job).unwrap();
-        let context = Context::new(seed);
-        loop {
-            let wave = integrator.next_wave(&context);
-            if wave.finished() {
-                return (integrator.snapshot().whole(), wave);
-            }
-        }
+        let job =
+            Job { denoise, ..plain_job(&scene, &lights, &camera, &plate, Stop::Samples(samples)) };
+        let (difference, wave) = finish(Method::Coupled, job, seed);
+        (difference.whole(), wave)
     }
 
     fn values(d: &Difference) -> Vec<f64> {

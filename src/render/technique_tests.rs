@@ -8,7 +8,7 @@ use glam::Vec3;
 
 use super::technique::{Blocked, Caustics, Technique};
 use super::test_scenes::*;
-use super::{Context, Difference, Job, Method, Numbers, Stop, integrator};
+use super::{Difference, Job, Method, Stop};
 use crate::conventions::Rgb;
 use crate::light::{Draws, Environment, Lights};
 use crate::photo::Image;
@@ -34,21 +34,9 @@ fn look(technique: Technique, material: Material, lights: &Lights, distance: f32
     let scene = scene(vec![ball], material, vec![local(ground(20.0), grey)]);
     let plate = Image::filled(4, 4, Rgb::splat(0.5));
     let (cameras, _) = point_camera(&[distance]);
-    let job = Job {
-        scene: &scene,
-        lights,
-        camera: &cameras[0],
-        plate: &plate,
-        stop: Stop::Samples(512),
-        numbers: Numbers::SobolOwen,
-        least_step: 0.0,
-        denoise: false,
-        technique,
-    };
-    let mut integrator = integrator(Method::Coupled, job).unwrap();
-    let context = Context::new(3);
-    while !integrator.next_wave(&context).finished() {}
-    integrator.snapshot().whole()
+    let job =
+        Job { technique, ..plain_job(&scene, lights, &cameras[0], &plate, Stop::Samples(512)) };
+    finish(Method::Coupled, job, 3).0.whole()
 }
 
 #[test]

@@ -2,7 +2,7 @@
 
 use glam::{DVec3, Vec3};
 
-use super::{Context, Difference, Job, Method, Numbers, Stop, Technique, integrator};
+use super::{Context, Difference, Job, Method, Numbers, Stop, Technique, Wave, integrator};
 use crate::camera::{Camera, Lens, Pose};
 use crate::conventions::Rgb;
 use crate::light::{Disc, Environment, Lights};
@@ -114,6 +114,39 @@ pub fn corner_camera(width: usize, height: usize, distance: f64) -> Camera {
     Camera { width, height, lens: Lens::pinhole(1.2 * width as f64, width, height), pose }
 }
 
+/// A job like any user's, without a filter.
+pub fn plain_job<'a>(
+    scene: &'a Scene,
+    lights: &'a Lights,
+    camera: &'a Camera,
+    plate: &'a Image<Rgb>,
+    stop: Stop,
+) -> Job<'a> {
+    Job {
+        scene,
+        lights,
+        camera,
+        plate,
+        stop,
+        numbers: Numbers::SobolOwen,
+        least_step: 0.0,
+        denoise: false,
+        technique: Technique::default(),
+    }
+}
+
+/// Renders a job to its end; what it comes to, held for its window, and the last wave.
+pub fn finish(method: Method, job: Job, seed: u64) -> (Difference, Wave) {
+    let mut integrator = integrator(method, job).unwrap();
+    let context = Context::new(seed);
+    loop {
+        let wave = integrator.next_wave(&context);
+        if wave.finished() {
+            return (integrator.snapshot(), wave);
+        }
+    }
+}
+
 /// Renders to the end.
 pub fn render(
     scene: &Scene,
@@ -124,21 +157,8 @@ pub fn render(
     samples: u32,
     seed: u64,
 ) -> Difference {
-    let job = Job {
-        scene,
-        lights,
-        camera,
-        plate,
-        stop: Stop::Samples(samples),
-        numbers: Numbers::SobolOwen,
-        least_step: 0.0,
-        denoise: false,
-        technique: Technique::default(),
-    };
-    let mut integrator = integrator(method, job).unwrap();
-    let context = Context::new(seed);
-    while !integrator.next_wave(&context).finished() {}
-    integrator.snapshot().whole()
+    let job = plain_job(scene, lights, camera, plate, Stop::Samples(samples));
+    finish(method, job, seed).0.whole()
 }
 
 /// Mean ratio over the picture and its standard error from the pixels' scatter.

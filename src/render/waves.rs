@@ -449,7 +449,6 @@ mod tests {
 
     use super::*;
     use crate::light::Lights;
-    use crate::render::Technique;
     use crate::render::coupled::Coupled;
     use crate::render::test_scenes::*;
     use crate::scene::{AlbedoSource, Scene};
@@ -499,17 +498,7 @@ mod tests {
         let (scene, lights) = scene_and_lights();
         let camera = corner_camera(80, 60, 3.0);
         let plate = Image::filled(80, 60, crate::conventions::Rgb::splat(0.2));
-        let job = Job {
-            scene: &scene,
-            lights: &lights,
-            camera: &camera,
-            plate: &plate,
-            stop,
-            numbers: Numbers::SobolOwen,
-            least_step: 0.0,
-            denoise: false,
-            technique: Technique::default(),
-        };
+        let job = plain_job(&scene, &lights, &camera, &plate, stop);
         let world = World::new(&scene, &lights, &camera, &plate);
         let primary = Primary::new(&camera, world.eye);
         let (context, drawn) = (Context::new(1), AtomicU64::new(0));

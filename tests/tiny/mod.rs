@@ -28,6 +28,17 @@ fn value(index: usize) -> f32 {
     0.1 + 0.6 * mixed as f32 / (1u32 << 24) as f32
 }
 
+/// The camera of [`write_shot`].
+pub fn camera() -> Camera {
+    let pose = Pose::look_at(DVec3::new(0.0, 1.0, 1.0), DVec3::ZERO, DVec3::Y);
+    Camera {
+        width: WIDTH,
+        height: HEIGHT,
+        lens: Lens::pinhole(60.0, WIDTH, HEIGHT),
+        pose: pose.expect("the camera looks at the origin"),
+    }
+}
+
 /// Writes plate, camera.json, panorama.exr and shot.toml; returns the shot file.
 ///
 /// `objects` is TOML for `[[object]]`. The world: a level plane under a lat-long with a bright
@@ -35,14 +46,7 @@ fn value(index: usize) -> f32 {
 pub fn write_shot(folder: &Path, plate: Plate, objects: &str) -> PathBuf {
     std::fs::create_dir_all(folder).expect("a folder to write into");
     let plate_file = write_plate(folder, plate);
-    let pose = Pose::look_at(DVec3::new(0.0, 1.0, 1.0), DVec3::ZERO, DVec3::Y);
-    let camera = Camera {
-        width: WIDTH,
-        height: HEIGHT,
-        lens: Lens::pinhole(60.0, WIDTH, HEIGHT),
-        pose: pose.expect("the camera looks at the origin"),
-    };
-    file::write(&folder.join("camera.json"), &camera, true).expect("camera.json");
+    file::write(&folder.join("camera.json"), &camera(), true).expect("camera.json");
     write_panorama(&folder.join("panorama.exr"));
     let shot = folder.join("shot.toml");
     let text = format!(
