@@ -24,7 +24,7 @@ const POLISHED: usize = 30;
 const NEARLY: f64 = 0.93;
 /// Half-widths within which edges agree, px: sharp photographs first.
 const WIDTHS_PX: [f64; 4] = [0.15, 0.3, 0.6, 1.2];
-/// Support at which no wider agreement is looked for.
+/// Support at which no wider agreement is looked for, where all of the circle is in the picture.
 const ENOUGH: f64 = 0.4;
 
 /// The rim, and how narrowly its edges agree.
@@ -44,7 +44,7 @@ pub fn find(edges: &[Edge], start: &Circle) -> Option<Ring> {
         if best.as_ref().is_none_or(|(most, _)| support > *most) {
             best = Some((support, ring));
         }
-        if support >= ENOUGH {
+        if support >= ENOUGH * start.visible {
             break;
         }
     }
@@ -131,7 +131,7 @@ impl Near {
         for _ in 0..TRIPLES {
             let (p, q, s) = (pick.next(), pick.next(), pick.next());
             let spread = (p - q).length().min((q - s).length()).min((s - p).length());
-            if spread < 0.6 * self.radius {
+            if spread < 0.5 * self.radius {
                 continue;
             }
             let Some((centre, radius)) = through(p, q, s) else { continue };
@@ -252,6 +252,24 @@ mod tests {
             }
         }
         assert!(find(&edges(0.1, 5)[..11], &start(0.0, 0.0, 0.0)).is_none());
+    }
+
+    #[test]
+    fn a_rim_that_the_frame_cuts_is_met_as_narrowly() {
+        let half: Vec<Edge> = edges(0.1, 77)
+            .into_iter()
+            .filter(|edge| (edge.at - CENTRE).to_angle().abs() < 60f64.to_radians())
+            .collect();
+        let start = Circle {
+            centre: CENTRE + DVec2::new(1.5, -1.0),
+            radius: RADIUS - 1.0,
+            support: 1.0,
+            background: 0.0,
+            visible: 1.0 / 3.0,
+        };
+        let ring = find(&half, &start).unwrap();
+        let off = (ring.centre - CENTRE).length().max((ring.radius - RADIUS).abs());
+        assert!(off < 0.15 && ring.width < 0.2, "{off} px at width {}", ring.width);
     }
 
     #[test]
