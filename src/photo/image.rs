@@ -82,7 +82,7 @@ impl<T> Image<T> {
 }
 
 impl Image<Rgb> {
-    /// Means of squares of `n` × `n` pixels; what does not fill one at the right and lower edge is left
+    /// Means of squares of `n` × `n` pixels, `n` from 1; what does not fill one at the right and lower edge is left
     /// out.
     pub fn reduced(&self, n: usize) -> Self {
         let (width, height) = ((self.width / n).max(1), (self.height / n).max(1));

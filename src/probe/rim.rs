@@ -282,7 +282,7 @@ fn arc(cone: &Cone, inliers: &[DVec3]) -> f64 {
 }
 
 /// Marsaglia's xorshift64: the same triples on every machine.
-struct XorShift(u64);
+pub(super) struct XorShift(pub u64);
 
 impl XorShift {
     fn next(&mut self) -> u64 {
@@ -290,6 +290,12 @@ impl XorShift {
         self.0 ^= self.0 >> 7;
         self.0 ^= self.0 << 17;
         self.0
+    }
+
+    /// In [0, 1).
+    #[cfg(test)]
+    pub(super) fn uniform(&mut self) -> f64 {
+        (self.next() >> 11) as f64 / (1u64 << 53) as f64
     }
 
     fn pick(&mut self, rays: &[DVec3]) -> DVec3 {

@@ -188,17 +188,7 @@ mod tests {
     use std::f64::consts::PI;
 
     use super::*;
-
-    struct XorShift(u64);
-
-    impl XorShift {
-        fn uniform(&mut self) -> f64 {
-            self.0 ^= self.0 << 13;
-            self.0 ^= self.0 >> 7;
-            self.0 ^= self.0 << 17;
-            (self.0 >> 11) as f64 / (1u64 << 53) as f64
-        }
-    }
+    use crate::probe::rim::XorShift;
 
     const CENTRE: DVec2 = DVec2::new(300.3, 299.6);
     const RADIUS: f64 = 250.2;

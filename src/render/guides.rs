@@ -43,6 +43,15 @@ impl Block {
         .collect()
     }
 
+    /// The smallest window around blocks; an empty one around none.
+    pub fn window(blocks: impl Iterator<Item = Self> + Clone) -> Window {
+        let low = |side: fn(&Self) -> usize| blocks.clone().map(|b| side(&b)).min().unwrap_or(0);
+        let high = |side: fn(&Self) -> usize| blocks.clone().map(|b| side(&b)).max().unwrap_or(0);
+        let first = (low(|b| b.x), low(|b| b.y));
+        let end = (high(|b| b.x + b.width), high(|b| b.y + b.height));
+        Window { first, size: (end.0 - first.0, end.1 - first.1) }
+    }
+
     /// Its four quarters, or fewer of a block one pixel wide.
     pub fn quarters(&self) -> Vec<Self> {
         let (left, top) = (self.width.div_ceil(2), self.height.div_ceil(2));

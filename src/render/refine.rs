@@ -6,10 +6,10 @@ use rayon::prelude::*;
 
 use super::denoise::{Filtered, Noisy, denoise};
 use super::film::{Estimate, Halves};
-use super::guides::Guides;
+use super::guides::{Block, Guides};
 use super::tile::{Floors, Tile};
 use crate::conventions::Rgb;
-use crate::photo::Image;
+use crate::photo::{Image, Window};
 
 /// What the denoiser made of the samples.
 pub struct Refinement {
@@ -19,14 +19,6 @@ pub struct Refinement {
     pub error: f64,
 }
 
-/// The rectangle that holds all tiles with samples.
-struct Frame {
-    x: usize,
-    y: usize,
-    width: usize,
-    height: usize,
-}
-
 /// Filters what the tiles hold; `None` if that is nothing, or the pilot's.
 pub fn refine(
     tiles: &[Tile],
@@ -34,11 +26,15 @@ pub fn refine(
     plate: &Image<Rgb>,
     floors: Floors,
 ) -> Option<Refinement> {
-    let frame = frame(tiles)?;
-    // What has samples lies in the window.
+    let sampled = tiles.iter().filter(|tile| tile.replicates > 0 && !tile.pilot);
+    let frame = Block::window(sampled.map(|tile| tile.block));
+    if frame.n_pixels() == 0 {
+        return None;
+    }
+    // What has samples lies in the guides' window.
     let (left, top) = guides.window.first;
-    let guide = |x: usize, y: usize| (frame.x + x - left, frame.y + y - top);
-    let halves = gather(tiles, plate, floors.dark, &frame);
+    let guide = |x: usize, y: usize| (frame.first.0 + x - left, frame.first.1 + y - top);
+    let halves = gather(tiles, plate, floors.dark, frame);
     let ratio = filter(
         &halves,
         |h| (h.ratio, h.ratio_mass),
@@ -52,11 +48,9 @@ pub fn refine(
         .par_iter()
         .map(|tile| {
             let refined = |k: usize| {
-                let (x, y) = tile.block.pixel(k);
-                // Tiles without samples may lie before the frame or behind it
-                let at = x.checked_sub(frame.x).zip(y.checked_sub(frame.y));
+                let at = frame.inside(tile.block.pixel(k));
                 let of = |(filtered, groups): &(Filtered, Image<u32>)| {
-                    let at = at.filter(|&(x, y)| groups.get(x, y).is_some_and(|&group| group != 0));
+                    let at = at.filter(|&at| groups[at] != 0);
                     at.map(|at| (filtered.moved[at], filtered.variance[at]))
                 };
                 tile.refined(k, plate, floors.dark, of(&ratio), of(&object))
@@ -76,20 +70,13 @@ pub fn refine(
     Some(Refinement { estimates, error })
 }
 
-fn frame(tiles: &[Tile]) -> Option<Frame> {
-    let sampled = || tiles.iter().filter(|t| t.replicates > 0 && !t.pilot).map(|t| t.block);
-    let (x, y) = (sampled().map(|b| b.x).min()?, sampled().map(|b| b.y).min()?);
-    let (right, bottom) =
-        (sampled().map(|b| b.x + b.width).max()?, sampled().map(|b| b.y + b.height).max()?);
-    Some(Frame { x, y, width: right - x, height: bottom - y })
-}
-
-fn gather(tiles: &[Tile], plate: &Image<Rgb>, dark: f32, frame: &Frame) -> Image<Halves> {
-    let mut halves = Image::filled(frame.width, frame.height, Halves::default());
+/// Halves of the part `frame` of the picture; nothing where no tile has samples.
+fn gather(tiles: &[Tile], plate: &Image<Rgb>, dark: f32, frame: Window) -> Image<Halves> {
+    let mut halves = Image::filled(frame.size.0, frame.size.1, Halves::default());
     for tile in tiles.iter().filter(|tile| tile.replicates > 0 && !tile.pilot) {
         for k in 0..tile.block.n_pixels() {
-            let (x, y) = tile.block.pixel(k);
-            halves[(x - frame.x, y - frame.y)] = tile.halves(k, plate, dark);
+            let Some(at) = frame.inside(tile.block.pixel(k)) else { continue };
+            halves[at] = tile.halves(k, plate, dark);
         }
     }
     halves

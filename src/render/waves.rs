@@ -25,7 +25,7 @@ use super::tile::{Floors, Grid, Tile};
 use super::world::World;
 use super::{Context, Difference, Integrator, Progress, Stop, Wave};
 use crate::conventions::{Rgb, luminance};
-use crate::photo::{Image, Window};
+use crate::photo::Image;
 
 /// Independent replicates that a finished picture aims at.
 const REPLICATES: u32 = 8;
@@ -66,15 +66,6 @@ pub trait Estimator: Sync {
 fn mean_brightness(plate: &Image<Rgb>) -> f32 {
     let sum: f64 = plate.pixels().iter().map(|&p| f64::from(luminance(p).max(0.0))).sum();
     (sum / plate.pixels().len().max(1) as f64) as f32
-}
-
-/// The smallest window around blocks; an empty one around none.
-fn around(blocks: impl Iterator<Item = Block> + Clone) -> Window {
-    let low = |side: fn(&Block) -> usize| blocks.clone().map(|b| side(&b)).min().unwrap_or(0);
-    let high = |side: fn(&Block) -> usize| blocks.clone().map(|b| side(&b)).max().unwrap_or(0);
-    let first = (low(|b| b.x), low(|b| b.y));
-    let end = (high(|b| b.x + b.width), high(|b| b.y + b.height));
-    Window { first, size: (end.0 - first.0, end.1 - first.1) }
 }
 
 /// Brightness below which errors are not magnified.
@@ -162,7 +153,8 @@ impl<E: Estimator> Waves<E> {
             tile.planned = if matters { PILOT_REPLICATES } else { 0 };
             seen.extend(judgement.and_then(|j| j.seen).map(|seen| (tile.block, seen)));
         }
-        let window = around(self.tiles.iter().filter(|tile| tile.planned > 0).map(|t| t.block));
+        let window =
+            Block::window(self.tiles.iter().filter(|tile| tile.planned > 0).map(|t| t.block));
         if !context.is_over() {
             self.guides = Some(Guides::new(world, primary, window, &seen));
         }
@@ -407,7 +399,7 @@ impl<E: Estimator> Integrator for Waves<E> {
 
     fn snapshot(&self) -> Difference {
         let world = self.estimator.world();
-        let window = around(self.tiles.iter().filter(|t| t.replicates > 0).map(|t| t.block));
+        let window = Block::window(self.tiles.iter().filter(|t| t.replicates > 0).map(|t| t.block));
         let size = (world.plate.width(), world.plate.height());
         let mut out = Difference::nothing_within(size, window);
         let refined = self.refinement.as_ref().map(|refinement| &refinement.estimates);
