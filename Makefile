@@ -4,10 +4,13 @@
 
 .PHONY: demo test test-long bench system clean
 
+# What was built is called by its path: `cargo run` would build the library again, without the examples' needs.
+BUILT := $(or $(CARGO_TARGET_DIR),target)/release
+
 demo: system
 	cargo build --release --bin platelight --example score_demo
-	cargo run --release --quiet --bin platelight -- run plates/demo/shot.toml --out out/demo
-	cargo run --release --quiet --example score_demo -- out/demo plates/demo
+	$(BUILT)/platelight run plates/demo/shot.toml --out out/demo
+	$(BUILT)/examples/score_demo out/demo plates/demo
 
 test: system
 	cargo test --workspace
