@@ -1,0 +1,115 @@
+//! What `panorama` says when it is done.
+
+use std::f64::consts::PI;
+use std::path::PathBuf;
+
+use glam::DVec3;
+use serde::Serialize;
+
+use super::Args;
+use crate::bracket::Validity;
+use crate::conventions::luminance;
+use crate::probe::find::BallImage;
+use crate::probe::{Panorama, clipped_regions};
+
+/// What came out, for people and machines.
+#[derive(Serialize)]
+pub(super) struct Summary {
+    pub(super) out: PathBuf,
+    pub(super) width: usize,
+    pub(super) height: usize,
+    pub(super) ball: Option<BallSummary>,
+    /// Share of all directions that was not seen and is filled.
+    pub(super) filled: f64,
+    /// Irradiance on a level surface, the panorama's unit.
+    pub(super) irradiance_up: [f32; 3],
+    pub(super) clipped: Vec<ClippedSummary>,
+    pub(super) warnings: Vec<String>,
+}
+
+#[derive(Serialize)]
+pub(super) struct BallSummary {
+    pub(super) centre_px: [f64; 2],
+    pub(super) radius_px: f64,
+    pub(super) sigma_px: f64,
+    pub(super) sigma_direction_deg: f64,
+    pub(super) inliers: f64,
+    /// `None`: the hint was taken as it is.
+    pub(super) score: Option<f64>,
+}
+
+#[derive(Serialize)]
+pub(super) struct ClippedSummary {
+    pub(super) direction: [f64; 3],
+    pub(super) solid_angle_sr: f64,
+    pub(super) flux_at_least: [f32; 3],
+    pub(super) place: String,
+}
+
+pub(super) fn summary(
+    args: &Args,
+    panorama: &Panorama,
+    found: Option<&BallImage>,
+    mut warnings: Vec<String>,
+) -> Summary {
+    let regions = clipped_regions(panorama);
+    let whole = f64::from(luminance(panorama.mean())) * 4.0 * PI;
+    for region in &regions {
+        let share = f64::from(luminance(region.lower_bound)) / whole;
+        if share > 0.01 {
+            warnings.push(format!(
+                "clipped in every photograph: {region}; at least {:.0} % of all light comes from there; \
+                 add a shorter exposure",
+                100.0 * share
+            ));
+        }
+    }
+    Summary {
+        out: args.out.clone(),
+        width: panorama.width(),
+        height: panorama.height(),
+        ball: found.map(|b| BallSummary {
+            centre_px: b.centre_px.to_array(),
+            radius_px: b.radius_px,
+            sigma_px: b.sigma_px,
+            sigma_direction_deg: b.rim.sigma_direction_rad().to_degrees(),
+            inliers: b.rim.inlier_fraction,
+            score: b.score,
+        }),
+        filled: panorama.share(Validity::Filled),
+        irradiance_up: panorama.irradiance(DVec3::Y).to_array(),
+        clipped: regions
+            .iter()
+            .map(|r| ClippedSummary {
+                direction: r.direction.to_array(),
+                solid_angle_sr: r.solid_angle,
+                flux_at_least: r.lower_bound.to_array(),
+                place: r.to_string(),
+            })
+            .collect(),
+        warnings,
+    }
+}
+
+pub(super) fn text(summary: &Summary) -> String {
+    let (w, h) = (summary.width, summary.height);
+    let mut lines = vec![format!("{}: {w} × {h} texels", summary.out.display())];
+    if let Some(b) = &summary.ball {
+        lines.push(format!(
+            "  ball at ({:.1}, {:.1}) px, radius {:.1} px, ± {:.2} px: directions ± {:.2}°",
+            b.centre_px[0], b.centre_px[1], b.radius_px, b.sigma_px, b.sigma_direction_deg
+        ));
+    }
+    let [r, g, b] = summary.irradiance_up;
+    lines.push(format!("  irradiance from above {r:.4} {g:.4} {b:.4} (linear value / exposure)"));
+    if summary.filled > 0.0 {
+        lines.push(format!(
+            "  not seen and filled: {:.1} % of all directions",
+            100.0 * summary.filled
+        ));
+    }
+    for region in summary.clipped.iter().take(5) {
+        lines.push(format!("  clipped: {}", region.place));
+    }
+    lines.join("\n")
+}
