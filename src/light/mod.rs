@@ -3,21 +3,27 @@
 //! [`Panorama`] → [`Lights`], which answer the queries of any light: sample, pdf, radiance, irradiance.
 //! Start with [`Lights::new`]. [`Environment`] is everything far away as piecewise constant radiance,
 //! [`Disc`] a sun or lamp too small for its texels. [`Proxy`] says on which walls near by the
-//! environment really lies, [`Lamp`] is a lamp at its true place. This room never traces a path.
+//! environment really lies, [`Lamp`] is a lamp at its true place. [`Sky`] calculates what no probe saw: a
+//! clear sky, its sun where [`sun_position`] puts it. This room never traces a path.
 
 pub mod cells;
+mod clear_sky;
 pub mod clipped;
 pub mod discrete;
 pub mod environment;
 pub mod lamp;
 mod median;
+pub mod moment;
 pub mod near_field;
 pub mod parts;
 mod patch;
+mod preetham;
 pub mod proxy;
+pub mod sky;
 #[cfg(test)]
 mod stability_tests;
 pub mod sun;
+pub mod sun_position;
 mod support_grid;
 pub mod table;
 mod take_out;
@@ -28,7 +34,9 @@ pub use discrete::LightSet;
 pub use environment::Environment;
 pub use lamp::{Lamp, LampHit};
 pub use median::median_per_channel;
+pub use moment::Moment;
 pub use proxy::Proxy;
+pub use sky::Sky;
 pub use sun::{Disc, SunSplit};
 pub use take_out::{NoLamp, take_out, take_out_lamp};
 

@@ -124,6 +124,13 @@ fn xyz_from_rgb(xy: [f32; 8]) -> Option<DMat3> {
     (matrix.is_finite() && matrix.determinant().abs() > 1e-9).then_some(matrix)
 }
 
+/// Takes CIE XYZ (2° observer) as it is to linear Rec.709: D65 of Y = 1 becomes 1, 1, 1.
+pub fn rec709_from_xyz() -> DMat3 {
+    let xyz_from_rec709 = xyz_from_rgb(Primaries::Rec709.chromaticities());
+    // They are three corners of a triangle.
+    xyz_from_rec709.expect("Rec.709's primaries span a colour space").inverse()
+}
+
 /// Bradford adaptation of XYZ from one white to another.
 fn bradford(from: DVec2, to: DVec2) -> Option<DMat3> {
     let cone_from_xyz = DMat3::from_cols(
