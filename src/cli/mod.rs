@@ -18,6 +18,7 @@ mod panorama;
 mod preview;
 mod progress;
 mod run;
+mod sky;
 mod targets;
 mod terminal;
 
@@ -155,6 +156,7 @@ enum Command {
     Merge(merge::Args),
     Panorama(panorama::Args),
     Preview(preview::Args),
+    Sky(sky::Args),
     Targets(targets::Args),
 }
 
@@ -170,6 +172,7 @@ fn dispatch(command: &Command, global: &Global) -> Result<Outcome, CliError> {
         Command::Merge(args) => merge::run(args, global),
         Command::Panorama(args) => panorama::run(args, global),
         Command::Preview(args) => preview::run(args, global),
+        Command::Sky(args) => sky::run(args, global),
         Command::Targets(args) => targets::run(args, global),
     }
 }

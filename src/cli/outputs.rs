@@ -4,7 +4,8 @@ use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 
 use super::CliError;
-use crate::photo::atomic;
+use crate::conventions::Rgb;
+use crate::photo::{Encoding, EncodingSource, Image, Primaries, Transfer, atomic, png};
 
 /// Refuses, before any work, to write over a file that is read, twice to one file, or where nothing
 /// can be written.
@@ -54,6 +55,17 @@ pub(super) fn check_ending(out: &Path, ending: &str) -> Result<(), CliError> {
         "{path}: the name must end in .{ending}, which is what is written; name it {}",
         better.display()
     )))
+}
+
+/// Writes what is to be seen, display-linear light 0…1, as an 8-bit sRGB PNG.
+pub(super) fn write_png(path: &Path, shown: &Image<Rgb>) -> Result<(), CliError> {
+    let encoding = Encoding {
+        transfer: Transfer::Srgb,
+        primaries: Primaries::Rec709,
+        source: EncodingSource::Named,
+    };
+    png::write(path, &png::srgb_codes(shown), shown.width(), shown.height(), &encoding)?;
+    Ok(())
 }
 
 /// The one path of a file, however it is spelled; of one that is not there yet, in its folder's.

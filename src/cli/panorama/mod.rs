@@ -13,11 +13,9 @@ pub use self::args::Args;
 use self::args::{Wishes, layout};
 use self::photographed::{Photographed, photographed};
 use self::summary::{summary, text};
-use super::outputs::{check_ending, check_outputs};
+use super::outputs::{check_ending, check_outputs, write_png};
 use super::{CliError, Global, Outcome};
-use crate::conventions::Rgb;
 use crate::photo::tone::{self, ToneCurve};
-use crate::photo::{Encoding, EncodingSource, Image, Primaries, Transfer, png};
 use crate::probe::file;
 
 pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
@@ -64,14 +62,4 @@ pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
     }
     global.print(&summary, || text(&summary));
     Ok(Outcome::Done)
-}
-
-fn write_png(path: &Path, shown: &Image<Rgb>) -> Result<(), CliError> {
-    let encoding = Encoding {
-        transfer: Transfer::Srgb,
-        primaries: Primaries::Rec709,
-        source: EncodingSource::Named,
-    };
-    png::write(path, &png::srgb_codes(shown), shown.width(), shown.height(), &encoding)?;
-    Ok(())
 }

@@ -1,0 +1,147 @@
+//! `platelight sky` as a user runs it.
+
+mod program;
+
+use std::path::Path;
+
+use glam::{DQuat, DVec3};
+use platelight::bracket::Validity;
+use platelight::photo::ReadOptions;
+use platelight::probe::Panorama;
+use platelight::probe::file::{self, Layout};
+use program::{platelight, text};
+
+const MUNICH: [&str; 4] = ["--place", "48.14,11.58", "--time", "2026-06-21T12:00:00+02:00"];
+
+fn read(path: &Path) -> Panorama {
+    let options = ReadOptions::default();
+    file::read(path, Layout::LatLong, DQuat::IDENTITY, None, &options).expect("a panorama").panorama
+}
+
+fn numbers(value: &serde_json::Value) -> [f64; 3] {
+    let numbers: Vec<f64> =
+        value.as_array().expect("a list").iter().map(|v| v.as_f64().expect("a number")).collect();
+    numbers.try_into().expect("three numbers")
+}
+
+fn luminance([r, g, b]: [f64; 3]) -> f64 {
+    0.2126 * r + 0.7152 * g + 0.0722 * b
+}
+
+#[test]
+fn a_sky_is_written_with_its_sun_and_without() {
+    let folder = tempfile::tempdir().unwrap();
+    let (with, without) = (folder.path().join("with.exr"), folder.path().join("without.exr"));
+    let png = folder.path().join("with.png");
+    let run = |more: &[&str]| {
+        let arguments: Vec<&str> = ["sky", "--json", "--width", "256"]
+            .iter()
+            .chain(&MUNICH)
+            .chain(more)
+            .copied()
+            .collect();
+        let output = platelight(&arguments);
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        let summary: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+        summary["frames"][0].clone()
+    };
+    let frame = run(&["--out", text(&with), "--preview", text(&png)]);
+    run(&["--no-sun", "--out", text(&without)]);
+    assert!(png.is_file());
+
+    // Munich's summer noon is at 13:15 on the clock: the sun is still in the south-east.
+    let azimuth = frame["azimuth_deg"].as_f64().unwrap();
+    assert!((130.0..150.0).contains(&azimuth), "{azimuth}");
+    let direction = DVec3::from(numbers(&frame["direction"]));
+    assert!(direction.x > 0.0 && direction.z > 0.0 && direction.y > 0.8, "{direction}");
+    assert!(
+        (luminance(numbers(&frame["level_irradiance"])) / std::f64::consts::PI - 1.0).abs() < 1e-4
+    );
+
+    let (with, without) = (read(&with), read(&without));
+    assert!(with.validity.pixels().iter().all(|&v| v == Validity::Analytic));
+    let up = |panorama: &Panorama| f64::from(panorama.irradiance(DVec3::Y).y);
+    let [sky, level] = ["sky_irradiance", "level_irradiance"].map(|key| numbers(&frame[key])[1]);
+    // The texel's mean cosine is not the sun's own: half a texel of 1.4° at 63° of height.
+    assert!((up(&without) / sky - 1.0).abs() < 2e-3, "{} {sky}", up(&without));
+    assert!((up(&with) / level - 1.0).abs() < 1e-2, "{} {level}", up(&with));
+}
+
+#[test]
+fn a_day_of_skies_is_numbered_and_has_one_unit() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("day.####.exr");
+    let output = platelight(&[
+        "sky",
+        "--json",
+        "--width",
+        "64",
+        "--place",
+        "48.14,11.58",
+        "--time",
+        "2026-06-21T03:00:00+02:00",
+        "--until",
+        "2026-06-21T13:00:00+02:00",
+        "--every",
+        "2h",
+        "--first-frame",
+        "1001",
+        "--out",
+        text(&out),
+    ]);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    assert!(String::from_utf8_lossy(&output.stderr).contains("note: 2 of 6 moments are left out"));
+    let summary: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(summary["left_out"][0]["time"], "2026-06-21T03:00:00+02:00");
+    let frames = summary["frames"].as_array().unwrap();
+    assert_eq!(frames.len(), 4);
+    // A file's number says which moment it is, also where others are left out.
+    for (frame, number) in frames.iter().zip(1003..) {
+        assert!(folder.path().join(format!("day.{number}.exr")).is_file());
+        assert_eq!(frame["frame"], number);
+    }
+    let level: Vec<f64> =
+        frames.iter().map(|f| luminance(numbers(&f["level_irradiance"]))).collect();
+    assert!(level.windows(2).all(|pair| pair[0] < pair[1]), "{level:?}");
+    assert!((level[3] / std::f64::consts::PI - 1.0).abs() < 1e-4, "{level:?}");
+}
+
+/// methods-capture F30: below the horizon, turbidity below 2, no zone.
+#[test]
+fn what_cannot_be_is_refused_with_its_remedy_and_nothing_is_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("sky.exr");
+    let said = |more: &[&str]| {
+        let arguments: Vec<&str> =
+            ["sky", "--width", "64", "--out", text(&out)].iter().chain(more).copied().collect();
+        let output = platelight(&arguments);
+        assert_eq!(output.status.code(), Some(2), "{more:?}");
+        assert!(!out.exists(), "{more:?}");
+        String::from_utf8_lossy(&output.stderr).into_owned()
+    };
+    let night = said(&["--place", "48.14,11.58", "--time", "2026-06-21T00:00:00+02:00"]);
+    assert!(night.contains("azimuth") && night.contains("below the horizon"), "{night}");
+    let no_zone = said(&["--place", "48.14,11.58", "--time", "2026-06-21T12:00:00"]);
+    assert!(no_zone.contains("has no zone"), "{no_zone}");
+    let sun = |more: &[&str]| {
+        let arguments: Vec<&str> = ["--sun", "180,40"].iter().chain(more).copied().collect();
+        said(&arguments)
+    };
+    assert!(sun(&["--turbidity", "1.5"]).contains("--turbidity: 1.5 is below 2"));
+    assert!(sun(&["--turbidity", "11"]).contains("--turbidity: 11 is above 10"));
+    assert!(sun(&["--ground", "2"]).contains("--ground"));
+    assert!(sun(&["--ground", "0.1,0.2"]).contains("--ground: 2 numbers"));
+    assert!(sun(&["--sun-irradiance", "0"]).contains("--sun-irradiance"));
+    assert!(sun(&["--sky-irradiance", "nan"]).contains("--sky-irradiance"));
+    assert!(sun(&["--north", "inf"]).contains("--north"));
+    assert!(said(&["--sun", "180"]).contains("--sun: [180.0] is no azimuth and elevation"));
+    assert!(said(&["--sun", "180,-3"]).contains("3.0° below"));
+    assert!(said(&["--place", "91,0", "--time", "2026-06-21T12:00Z"]).contains("--place: 91, 0"));
+    assert!(said(&["--place", "48"]).contains("--time"));
+    let sequence = ["--until", "2026-06-22T12:00:00+02:00", "--every"];
+    let day = |step: &str| {
+        let all: Vec<&str> = MUNICH.iter().chain(&sequence).chain([&step]).copied().collect();
+        said(&all)
+    };
+    assert!(day("1h").contains("write #### where the number goes"));
+}
