@@ -1,6 +1,7 @@
-//! `platelight sky` as a user runs it.
+//! `platelight sky` as a user runs it, and a shot that is lit by it.
 
 mod program;
+mod tiny;
 
 use std::path::Path;
 
@@ -144,4 +145,52 @@ fn what_cannot_be_is_refused_with_its_remedy_and_nothing_is_written() {
         said(&all)
     };
     assert!(day("1h").contains("write #### where the number goes"));
+}
+
+/// The tiny shot under a sky, and what a run says of its light.
+fn lit_by_sky(folder: &Path, sky: &str, objects: &str) -> (serde_json::Value, std::path::PathBuf) {
+    let shot = tiny::write_shot(folder, tiny::Plate::ExrFloat, objects);
+    let written = std::fs::read_to_string(&shot).unwrap();
+    let changed = written.replace("panorama = { file = \"panorama.exr\" }", sky);
+    assert_ne!(written, changed);
+    std::fs::write(&shot, changed.replace("relative_exposure = 1.0", "relative_exposure = 0.5"))
+        .unwrap();
+    let out = folder.join("out");
+    let output = platelight(&["run", text(&shot), "--out", text(&out)]);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let report = std::fs::read_to_string(out.join("report.json")).unwrap();
+    (serde_json::from_str(&report).unwrap(), out)
+}
+
+#[test]
+fn a_shot_is_lit_by_a_calculated_sky() {
+    let folder = tempfile::tempdir().unwrap();
+    let cube = tiny::write_cube(folder.path(), 0.15);
+    // The camera looks down along −Z from the south; the sun is in the west, 45° high.
+    let sky = "sky = { sun = [270, 45], turbidity = 3 }";
+    let (report, out) = lit_by_sky(folder.path(), sky, &cube);
+    let suns = report["lights"]["suns"].as_array().unwrap();
+    assert_eq!(suns.len(), 1);
+    let direction = DVec3::from(numbers(&suns[0]["direction"]));
+    let half = std::f64::consts::FRAC_1_SQRT_2;
+    assert!((direction - DVec3::new(-half, half, 0.0)).length() < 1e-6, "{direction}");
+    // A level white card has the value 0.5 in the plate: relative_exposure.
+    let level = luminance(numbers(&report["lights"]["irradiance_up"]));
+    assert!((level / (0.5 * std::f64::consts::PI) - 1.0).abs() < 2e-3, "{level}");
+    assert!(report["probe"]["source"].as_str().unwrap().starts_with("clear sky of turbidity 3"));
+    let notes = report["notes"].to_string();
+    assert!(notes.contains("it must point to 90.0°") && notes.contains("25 %"), "{notes}");
+    assert!(report["budget"].to_string().contains("calculated sun"));
+    assert!(out.join("panorama.exr").is_file());
+
+    // The shadow falls east of the cube, which is +X and to the right.
+    let shadow = ReadOptions { layer: Some("difference".to_owned()), ..ReadOptions::default() };
+    let difference = platelight::photo::read(&out.join("composite.exr"), &shadow).unwrap().linear;
+    let darkened = |columns: std::ops::Range<usize>| -> f32 {
+        let all = (0..tiny::HEIGHT).flat_map(|y| columns.clone().map(move |x| (x, y)));
+        -all.map(|at| difference[at].y).sum::<f32>()
+    };
+    let (left, right) = (darkened(0..24), darkened(40..64));
+    // On the other side it hides but part of the sky, whose light is a quarter of all.
+    assert!(right > 5.0 * left && right > 1.0, "left {left}, right {right}");
 }

@@ -7,7 +7,7 @@ use crate::bracket::{self, Radiance, ResponseSource};
 use crate::photo::Transfer;
 use crate::report::Warning;
 
-/// Merges the photographs of a ball or fisheye; `None` for a panorama.
+/// Merges the photographs of a ball or fisheye; `None` for a panorama or a sky.
 ///
 /// With `plate.colour = "bracket"` the plate is read again through the curve that the bracket shows:
 /// a curve for one of them alone would change the scale between them by more than it mends.
@@ -17,7 +17,7 @@ use crate::report::Warning;
 pub fn merge(plan: &mut Plan) -> Result<Option<(Radiance, Vec<Warning>)>, String> {
     let key = match &plan.shot.probe.source {
         ProbeSource::Fisheye(_) => "probe.fisheye",
-        ProbeSource::Ball(_) | ProbeSource::Panorama(_) => "probe.ball",
+        ProbeSource::Ball(_) | ProbeSource::Panorama(_) | ProbeSource::Sky(_) => "probe.ball",
     };
     match plan.probe_photos.as_slice() {
         [] => return Ok(None),

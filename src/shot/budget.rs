@@ -37,6 +37,16 @@ pub fn budget(prepared: &Prepared, render: &RenderReport) -> Budget {
             note: "from the scatter of the evidence in the plate".to_owned(),
         });
     }
+    if let Some(sigma) = prepared.light.sigma_sky {
+        terms.push(Term {
+            cause: "the calculated sun against its sky".to_owned(),
+            sigma: Some(100.0 * sigma),
+            unit: "%",
+            brightness: Some(sigma),
+            note: "assumed for a clear day; photograph the light, or give sun_irradiance"
+                .to_owned(),
+        });
+    }
     if let Some(term) = accepted_clipping(&prepared.probe_report.clipped) {
         terms.push(term);
     }

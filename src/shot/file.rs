@@ -15,6 +15,7 @@ use super::keys::{Keys, Problems};
 use super::motion::Motion;
 use super::prepare::METHODS;
 use super::probe_keys::{Lamp, ProbeKeys, Surroundings};
+use super::sky;
 use super::stop::StopKeys;
 use crate::photo::{NamedColour, text};
 use crate::render::Caustics;
@@ -260,8 +261,12 @@ fn read_root(root: &Keys, path: &Path, folder: &Path) -> Option<ShotFile> {
         .and_then(|keys| CameraKeys::read(&keys, folder));
     let pose = section("pose", PoseSource::KEYS, "add [pose] with tag, board, rectangle or file")
         .and_then(|keys| PoseSource::read(&keys, folder));
-    let probe = section("probe", ProbeKeys::KEYS, "add [probe] with ball, fisheye or panorama")
-        .and_then(|keys| ProbeKeys::read(&keys, folder));
+    let probe =
+        section("probe", ProbeKeys::KEYS, "add [probe] with ball, fisheye, panorama or sky")
+            .and_then(|keys| ProbeKeys::read(&keys, folder));
+    if let (Some(plate), Some(probe)) = (&plate, &probe) {
+        sky::check_scale(root, plate, probe);
+    }
     let surroundings = root
         .table("surroundings", Surroundings::KEYS)
         .and_then(|keys| Surroundings::read(&keys, folder));

@@ -12,6 +12,7 @@ use toml::de::{DeArray, DeTable, DeValue};
 
 use super::{frames, pictures};
 use crate::conventions::FARTHEST_M;
+use crate::light::moment::{Moment, MomentError};
 
 /// Everything found wrong with one file, each with file, line, key and remedy.
 #[derive(Debug)]
@@ -203,6 +204,15 @@ impl<'a> Keys<'a> {
     /// A whole number as frames have them, also below zero.
     pub fn whole(&self, key: &'static str) -> Option<i64> {
         self.read(key, "a whole number as frames have them", whole)
+    }
+
+    /// A moment with its zone: a date and time as TOML has it, or the same as a text.
+    pub fn moment(&self, key: &'static str) -> Option<Moment> {
+        let text = self.read(key, "a date and time, 2026-06-21T12:00:00+02:00", |v| match v {
+            DeValue::Datetime(moment) => Some(moment.to_string()),
+            other => other.as_str().map(str::to_owned),
+        })?;
+        text.parse().map_err(|error: MomentError| self.problem(key, &error.to_string())).ok()
     }
 
     /// `N` finite numbers.

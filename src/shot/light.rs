@@ -12,10 +12,12 @@ use super::probe_keys::{
     Ball as BallKeys, Clipped, Fisheye, FisheyeMapping, PanoramaKeys, PanoramaMapping, ProbeSource,
     Suns,
 };
+use super::sky::SkyKeys;
 use crate::bracket::Radiance;
 use crate::camera::Camera;
 use crate::conventions::{Rgb, luminance};
 use crate::light::clipped::{self, RecoverError, Stage};
+use crate::light::sky;
 use crate::light::{Disc, LightOptions, Lights, SunSplit, take_out};
 use crate::photo::{Image, ReadOptions};
 use crate::probe::file::{self, Layout, rotation_xyz_deg};
@@ -42,6 +44,8 @@ pub struct Light {
     pub sigma_irradiance: Option<f64>,
     /// Relative standard error of a recovered sun.
     pub sigma_sun: Option<f64>,
+    /// Relative standard error of a sun against its sky that nobody measured.
+    pub sigma_sky: Option<f64>,
     /// True if a ball's reflectance was divided out.
     pub has_reflectance: bool,
     /// Bound of the relative error from treating near light as distant, if the shot tells of any that
@@ -54,6 +58,8 @@ pub struct Light {
 pub struct Unwrapped {
     pub panorama: Panorama,
     ball: Option<(Camera, Rim)>,
+    /// Lights that were never in the panorama.
+    discs: Vec<Disc>,
     report: ProbeReport,
     warnings: Vec<Warning>,
 }
@@ -66,7 +72,8 @@ const NEGLIGIBLE_SHARE: f64 = 1e-3;
 /// All of them together with less than this are a note.
 const SMALL_SUM: f64 = 1e-2;
 
-/// Unwraps the merged `bracket` of a ball (which needs `ball_camera`) or fisheye, or reads a panorama.
+/// Unwraps the merged `bracket` of a ball (which needs `ball_camera`) or fisheye, reads a panorama, or
+/// calculates a sky.
 ///
 /// # Errors
 /// Sentences with file or key and remedy.
@@ -88,6 +95,9 @@ pub fn unwrap(
         }
         ProbeSource::Panorama(keys) => {
             take_panorama(keys).map_err(|e| format!("{shot}: probe.panorama: {e}"))
+        }
+        ProbeSource::Sky(keys) => {
+            calculate_sky(keys).map_err(|e| format!("{shot}: probe.sky: {e}"))
         }
     }
 }
@@ -118,7 +128,8 @@ fn unwrap_the_ball(
         sigma_direction_deg: Some(found.rim.sigma_direction_rad().to_degrees()),
         ..ProbeReport::default()
     };
-    Ok(Unwrapped { panorama, ball: Some((camera, found.rim)), report, warnings })
+    let ball = Some((camera, found.rim));
+    Ok(Unwrapped { panorama, ball, discs: Vec::new(), report, warnings })
 }
 
 /// A ball this far from where the shot file and the pose put it, as a share of its radius, is not
@@ -171,7 +182,7 @@ fn unwrap_fisheye(
         source: format!("fisheye, {}", photographs(plan.probe_photos.len())),
         ..ProbeReport::default()
     };
-    Ok(Unwrapped { panorama, ball: None, report, warnings })
+    Ok(Unwrapped { panorama, ball: None, discs: Vec::new(), report, warnings })
 }
 
 /// Light from above the horizon that a fisheye did not see is guessed from its edge.
@@ -217,7 +228,23 @@ fn take_panorama(keys: &PanoramaKeys) -> Result<Unwrapped, String> {
     let source = format!("panorama {}", keys.file.display());
     let colour = read.encoding.to_string();
     let report = ProbeReport { source, colour, ..ProbeReport::default() };
-    Ok(Unwrapped { panorama, ball: None, report, warnings })
+    Ok(Unwrapped { panorama, ball: None, discs: Vec::new(), report, warnings })
+}
+
+/// Texels across a calculated sky: without its sun there is nothing sharp in it but the horizon.
+const SKY_WIDTH: usize = 1024;
+
+fn calculate_sky(keys: &SkyKeys) -> Result<Unwrapped, String> {
+    let sky = keys.sky().map_err(|error| error.to_string())?;
+    let colour = "linear Rec.709 (calculated)".to_owned();
+    let report = ProbeReport { source: keys.sentence(), colour, ..ProbeReport::default() };
+    Ok(Unwrapped {
+        panorama: sky.panorama(SKY_WIDTH),
+        ball: None,
+        discs: vec![sky.sun()],
+        report,
+        warnings: keys.notes().into(),
+    })
 }
 
 /// What light is judged by: the shot with its camera and scene in their places.
@@ -237,7 +264,7 @@ pub fn light(
     unwrapped: Unwrapped,
     setting: &Setting,
 ) -> Result<(Light, ProbeReport, LightsReport), String> {
-    let Unwrapped { panorama, ball, mut report, mut warnings } = unwrapped;
+    let Unwrapped { panorama, ball, discs, mut report, mut warnings } = unwrapped;
     let plan = setting.plan;
     let Scale { factor, source } = &plan.scale;
     let mut panorama = panorama.scaled(*factor as f32);
@@ -254,6 +281,11 @@ pub fn light(
     let mut suns = judge_clipped(&mut panorama, setting, &mut report, &mut warnings)?;
     // Also of what turns out to be a lamp's
     let sigma_sun = suns.iter().map(|(_, sigma)| *sigma).reduce(f64::max);
+    let sigma_sky = matches!(plan.shot.probe.source, ProbeSource::Sky(_)).then_some(sky::SIGMA);
+    suns.extend(discs.into_iter().map(|disc| {
+        let radiance = disc.radiance * *factor as f32;
+        (Disc { radiance, ..disc }, sky::SIGMA)
+    }));
     let near = NearField::find(setting, &mut panorama, &mut suns)
         .map_err(|error| format!("{}: {error}", plan.shot.path.display()))?;
     warnings.extend(near.warnings);
@@ -295,6 +327,7 @@ pub fn light(
         ball,
         sigma_irradiance,
         sigma_sun,
+        sigma_sky,
         has_reflectance,
         distant_error,
         warnings,

@@ -30,6 +30,7 @@ pub mod probe_keys;
 pub mod run;
 pub mod sheet;
 mod shown;
+pub mod sky;
 pub mod stop;
 mod support_light;
 mod unseen;

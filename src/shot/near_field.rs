@@ -320,7 +320,7 @@ fn meshes(model: &Model, scene: &Scene) -> Vec<Mesh> {
 fn probe_radius(plan: &Plan) -> f64 {
     match &plan.shot.probe.source {
         ProbeSource::Ball(ball) => ball.radius,
-        ProbeSource::Fisheye(_) | ProbeSource::Panorama(_) => 0.0,
+        ProbeSource::Fisheye(_) | ProbeSource::Panorama(_) | ProbeSource::Sky(_) => 0.0,
     }
 }
 

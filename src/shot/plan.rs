@@ -477,6 +477,10 @@ fn read_probe(shot: &ShotFile, find: &mut Finder) -> (Vec<Photo>, Option<Exposur
             let source = "a panorama, taken as radiance";
             return (Vec::new(), Some(Exposures { values: vec![1.0], source }));
         }
+        ProbeSource::Sky(_) => {
+            let source = "a sky, calculated as radiance";
+            return (Vec::new(), Some(Exposures { values: vec![1.0], source }));
+        }
     };
     if let ProbeSource::Ball(ball) = &shot.probe.source {
         if let Some(camera) = &ball.camera {

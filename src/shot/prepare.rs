@@ -119,7 +119,7 @@ pub fn prepare(
     let ball_camera = match &shot.probe.source {
         ProbeSource::Ball(ball) => ball_camera(plan, ball, &found_lens, found_pose.as_ref().ok())
             .map_err(|error| in_file(format!("probe.ball: {error}"))),
-        ProbeSource::Fisheye(_) | ProbeSource::Panorama(_) => Ok(None),
+        ProbeSource::Fisheye(_) | ProbeSource::Panorama(_) | ProbeSource::Sky(_) => Ok(None),
     };
 
     begin("unwrap the probe")?;

@@ -7,6 +7,7 @@ use serde::Serialize;
 
 use super::camera_keys::{CameraKeys, CameraSource, ExposureKeys, PoseSource};
 use super::keys::Keys;
+use super::sky::SkyKeys;
 
 /// `[probe]`
 #[derive(Clone, Debug, Serialize)]
@@ -22,6 +23,7 @@ pub enum ProbeSource {
     Ball(Box<Ball>),
     Fisheye(Fisheye),
     Panorama(PanoramaKeys),
+    Sky(SkyKeys),
 }
 
 /// A mirror ball in an exposure bracket.
@@ -153,10 +155,7 @@ impl ProbeKeys {
                 let panorama = keys.table("panorama", PanoramaKeys::KEYS)?;
                 ProbeSource::Panorama(PanoramaKeys::read(&panorama, folder)?)
             }
-            _ => {
-                keys.problem("sky", "this version has no sky model; use ball, fisheye or panorama");
-                return None;
-            }
+            _ => ProbeSource::Sky(SkyKeys::read(&keys.table("sky", SkyKeys::KEYS)?)?),
         };
         Some(Self { source, clipped, suns })
     }
