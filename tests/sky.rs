@@ -7,7 +7,9 @@ use std::path::Path;
 
 use glam::{DQuat, DVec3};
 use platelight::bracket::Validity;
-use platelight::photo::ReadOptions;
+use platelight::conventions::Rgb;
+use platelight::photo::exr_file::{self, ExrPicture, ExrSamples};
+use platelight::photo::{Image, ReadOptions};
 use platelight::probe::Panorama;
 use platelight::probe::file::{self, Layout};
 use program::{platelight, text};
@@ -193,4 +195,79 @@ fn a_shot_is_lit_by_a_calculated_sky() {
     let (left, right) = (darkened(0..24), darkened(40..64));
     // On the other side it hides but part of the sky, whose light is a quarter of all.
     assert!(right > 5.0 * left && right > 1.0, "left {left}, right {right}");
+}
+
+/// A clear sky through an upright fisheye that looks level: half of the sky is behind it.
+#[test]
+fn a_half_seen_sky_is_filled_with_its_other_half() {
+    let folder = tempfile::tempdir().unwrap();
+    let [whole, fisheye, out] =
+        ["whole.exr", "fisheye.exr", "out.exr"].map(|f| folder.path().join(f));
+    let made = platelight(&[
+        "sky",
+        "--sun",
+        "60,35",
+        "--turbidity",
+        "4",
+        "--no-sun",
+        "--width",
+        "256",
+        "--out",
+        text(&whole),
+    ]);
+    assert!(made.status.success(), "{}", String::from_utf8_lossy(&made.stderr));
+    let whole = read(&whole);
+    // Equidistant, 180° across, looking along −Z.
+    let size = 201;
+    let picture = Image::from_fn(size, size, |x, y| {
+        let (dx, dy) = (x as f64 - 100.0, 100.0 - y as f64);
+        let (r, angle) = (dx.hypot(dy), dy.atan2(dx));
+        let theta = r / 100.5 * std::f64::consts::FRAC_PI_2;
+        if r > 100.5 {
+            return Rgb::ZERO;
+        }
+        let (sin, cos) = theta.sin_cos();
+        whole.radiance(DVec3::new(sin * angle.cos(), sin * angle.sin(), -cos))
+    });
+    let mut exr = ExrPicture { width: size, height: size, ..ExrPicture::default() };
+    for (c, name) in ["R", "G", "B"].into_iter().enumerate() {
+        let values = picture.pixels().iter().map(|l| l[c]).collect();
+        exr.push(name, ExrSamples::F32(values));
+    }
+    exr_file::write(&fisheye, &exr).unwrap();
+    let fill = |sun: &str| {
+        platelight(&[
+            "panorama",
+            text(&fisheye),
+            "--fisheye",
+            "equidistant",
+            "--width",
+            "256",
+            "--json",
+            "--fill-sky",
+            sun,
+            "--out",
+            text(&out),
+        ])
+    };
+    let nothing = fill("found");
+    assert_eq!(nothing.status.code(), Some(2));
+    assert!(
+        String::from_utf8_lossy(&nothing.stderr).contains("--fill-sky: nothing above the horizon")
+    );
+    assert!(!out.exists());
+
+    let output = fill("60,35");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let summary: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    let turbidity = summary["sky"]["turbidity"].as_f64().unwrap();
+    assert!((turbidity - 4.0).abs() < 0.1, "{turbidity}");
+    assert!((summary["sky"]["filled"].as_f64().unwrap() - 0.5).abs() < 0.03, "{}", summary["sky"]);
+    let filled = read(&out);
+    for direction in
+        [DVec3::new(0.2, 0.5, 0.8), DVec3::new(-0.9, 0.3, 0.4), DVec3::new(0.1, 1.0, 0.3)]
+    {
+        let (found, wanted) = (filled.radiance(direction), whole.radiance(direction));
+        assert!((found / wanted - 1.0).abs().max_element() < 0.02, "{direction}: {found} {wanted}");
+    }
 }

@@ -20,6 +20,7 @@ mod patch;
 mod preetham;
 pub mod proxy;
 pub mod sky;
+pub mod sky_fit;
 #[cfg(test)]
 mod stability_tests;
 pub mod sun;

@@ -8,7 +8,7 @@
 use std::collections::BTreeMap;
 use std::f64::consts::PI;
 
-use glam::{DVec2, DVec3, Vec3};
+use glam::{DQuat, DVec2, DVec3, Vec3};
 use rayon::prelude::*;
 
 use super::clear_sky::clear_sky;
@@ -29,7 +29,7 @@ pub const DEFAULT_TURBIDITY: f64 = 3.0;
 pub const DEFAULT_GROUND: Rgb = Rgb::splat(0.2);
 
 /// Turbidities for which Preetham's formulas were fitted; below 2 they go negative.
-const TURBIDITIES: std::ops::RangeInclusive<f64> = 2.0..=10.0;
+pub(super) const TURBIDITIES: std::ops::RangeInclusive<f64> = 2.0..=10.0;
 
 /// Why there is no such sky. [`SkyError::key`] says which wish it is about.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -176,6 +176,12 @@ impl Sky {
         self
     }
 
+    /// The same light in the unit in which the model's 1 kcd/m² are this radiance.
+    pub(super) fn with_luminance_scale(self, scale: f64) -> Self {
+        let factor = scale / self.scale;
+        self.scaled(factor)
+    }
+
     /// Radiance from a direction (unit, world), without the sun's disc.
     pub fn radiance(&self, direction: DVec3) -> Rgb {
         if direction.y < 0.0 {
@@ -221,10 +227,12 @@ impl Sky {
     /// Each texel is a mean over it; all are [`Validity::Analytic`] and seen by nobody (coverage 0).
     pub fn panorama(&self, width: usize) -> Panorama {
         let height = width / 2;
-        let ground = self.ground_radiance();
-        let rows = (0..height)
-            .into_par_iter()
-            .flat_map_iter(|y| (0..width).map(move |x| self.texel(x, y, width, height, ground)));
+        let rows = (0..height).into_par_iter().flat_map_iter(|y| {
+            (0..width).map(move |x| {
+                let pixel = DVec2::new(x as f64, y as f64);
+                self.mean_over_texel(pixel, width, height, DQuat::IDENTITY)
+            })
+        });
         let texels: Vec<Rgb> = rows.collect();
         let radiance = Image::from_fn(width, height, |x, y| texels[y * width + x]);
         Panorama {
@@ -241,17 +249,25 @@ impl Sky {
         panorama
     }
 
-    /// Mean radiance of a texel.
-    fn texel(&self, x: usize, y: usize, width: usize, height: usize, ground: Rgb) -> Rgb {
-        let corner = |dx: f64, dy: f64| {
-            lat_long_direction(DVec2::new(x as f64 + dx, y as f64 + dy), width, height)
+    /// Mean radiance over the texel about `pixel` of a lat-long map that is turned in the world, without
+    /// the sun's disc.
+    pub(super) fn mean_over_texel(
+        &self,
+        pixel: DVec2,
+        width: usize,
+        height: usize,
+        world_from_map: DQuat,
+    ) -> Rgb {
+        let at = |dx: f64, dy: f64| {
+            world_from_map * lat_long_direction(pixel + DVec2::new(dx, dy), width, height)
         };
-        if corner(0.0, -0.5).y <= 0.0 {
-            return ground;
+        // Half a texel's diagonal is less than its side.
+        let texel_rad = PI / height as f64;
+        let middle = at(0.0, 0.0);
+        if middle.y < -texel_rad {
+            return self.ground_radiance();
         }
         // The light has a cusp at the sun and changes within a degree of the horizon.
-        let texel_rad = PI / height as f64;
-        let middle = corner(0.0, 0.0);
         let bends = middle.dot(self.direction) > (3.0 * texel_rad).min(PI).cos()
             || middle.y < 3.0 * texel_rad;
         let n = if bends { 8 } else { 2 };
@@ -260,10 +276,10 @@ impl Sky {
         for j in 0..n {
             let dy = (j as f64 + 0.5) / n as f64 - 0.5;
             // Solid angle goes with the cosine of the latitude.
-            let weight = (PI * (0.5 - (y as f64 + 0.5 + dy) / height as f64)).cos();
+            let weight = (PI * (0.5 - (pixel.y + 0.5 + dy) / height as f64)).cos();
             for i in 0..n {
                 let dx = (i as f64 + 0.5) / n as f64 - 0.5;
-                sum += self.radiance(corner(dx, dy)).as_dvec3() * weight;
+                sum += self.radiance(at(dx, dy)).as_dvec3() * weight;
             }
             weights += n as f64 * weight;
         }
@@ -275,7 +291,7 @@ impl Sky {
 ///
 /// Points spread evenly over the disc each bring their share of its flux to the texel that they fall
 /// into: poles and seam need no care, and nothing is lost at an edge.
-fn draw_disc(map: &mut Image<Rgb>, disc: &Disc) {
+pub(super) fn draw_disc(map: &mut Image<Rgb>, disc: &Disc) {
     // A sun in the largest map covers 2 400 texels: 25 points in each.
     const POINTS: usize = 1 << 16;
     const GOLDEN: f64 = 0.618_033_988_749_894_9;

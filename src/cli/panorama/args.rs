@@ -92,6 +92,10 @@ pub struct Args {
     /// Also write the photograph with the found rim as a PNG
     #[arg(long, value_name = "PNG", requires = "ball")]
     pub(super) overlay: Option<PathBuf>,
+    /// Fill what was not seen above the horizon with the clear sky that fits the rest, round a sun that is
+    /// "found" in the panorama or stands at azimuth and elevation, degrees: the azimuth clockwise from -Z
+    #[arg(long, value_name = "found|AZIMUTH,ELEVATION", allow_hyphen_values = true)]
+    pub(super) fill_sky: Option<String>,
     /// Colour space of the photographs, where they do not say it themselves
     #[arg(long, alias = "color", default_value = "auto", value_name = "NAME")]
     pub(super) colour: String,

@@ -3,6 +3,7 @@
 //! [`args`] (what can be asked) → [`photographed`] or a map's file → panorama → [`summary`].
 
 mod args;
+mod fill_sky;
 mod photographed;
 mod summary;
 
@@ -11,6 +12,7 @@ use std::path::PathBuf;
 
 pub use self::args::Args;
 use self::args::{Wishes, layout};
+use self::fill_sky::fill_sky;
 use self::photographed::{Photographed, photographed};
 use self::summary::{summary, text};
 use super::outputs::{check_ending, check_outputs, write_png};
@@ -46,7 +48,11 @@ pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
         }
         None => photographed(&wishes, &mut warnings, global)?,
     };
-    let panorama = file::in_world_axes(&panorama).into_owned();
+    let mut panorama = file::in_world_axes(&panorama).into_owned();
+    let sky = match &args.fill_sky {
+        Some(sun) => Some(fill_sky(&mut panorama, sun, &mut warnings)?),
+        None => None,
+    };
     global.go_on()?;
     file::write(&args.out, &panorama)?;
     if let (Some(path), Some(drawn)) = (&args.overlay, &overlay) {
@@ -56,7 +62,7 @@ pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
         let shown = tone::automatic_stops(&panorama.radiance);
         write_png(path, &tone::display(&panorama.radiance, shown, ToneCurve::Reinhard))?;
     }
-    let summary = summary(args, &panorama, found.as_ref(), warnings);
+    let summary = summary(args, &panorama, found.as_ref(), sky, warnings);
     for warning in &summary.warnings {
         global.warn(warning);
     }

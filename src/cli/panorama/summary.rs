@@ -7,6 +7,7 @@ use glam::DVec3;
 use serde::Serialize;
 
 use super::Args;
+use super::fill_sky::SkySummary;
 use crate::bracket::Validity;
 use crate::conventions::luminance;
 use crate::probe::find::BallImage;
@@ -21,6 +22,8 @@ pub(super) struct Summary {
     pub(super) ball: Option<BallSummary>,
     /// Share of all directions that was not seen and is filled.
     pub(super) filled: f64,
+    /// The clear sky that fills what was not seen above the horizon.
+    pub(super) sky: Option<SkySummary>,
     /// Irradiance on a level surface, the panorama's unit.
     pub(super) irradiance_up: [f32; 3],
     pub(super) clipped: Vec<ClippedSummary>,
@@ -50,6 +53,7 @@ pub(super) fn summary(
     args: &Args,
     panorama: &Panorama,
     found: Option<&BallImage>,
+    sky: Option<SkySummary>,
     mut warnings: Vec<String>,
 ) -> Summary {
     let regions = clipped_regions(panorama);
@@ -77,6 +81,7 @@ pub(super) fn summary(
             score: b.score,
         }),
         filled: panorama.share(Validity::Filled),
+        sky,
         irradiance_up: panorama.irradiance(DVec3::Y).to_array(),
         clipped: regions
             .iter()
@@ -106,6 +111,15 @@ pub(super) fn text(summary: &Summary) -> String {
         lines.push(format!(
             "  not seen and filled: {:.1} % of all directions",
             100.0 * summary.filled
+        ));
+    }
+    if let Some(sky) = &summary.sky {
+        lines.push(format!(
+            "  clear sky of turbidity {:.1} fits to {:.1} % what was seen of it ({:.0} %), and fills {:.0} %",
+            sky.turbidity,
+            100.0 * sky.residual,
+            100.0 * sky.seen,
+            100.0 * sky.filled
         ));
     }
     for region in summary.clipped.iter().take(5) {
