@@ -236,7 +236,47 @@ fn read_old_runs<'a>(mut rest: &'a [u8], row: &mut [[u8; 4]]) -> Option<&'a [u8]
     Some(rest)
 }
 
-/// Writes flat RGBE, `-Y h +X w`, mantissas made as `mantissa` says.
+/// Shortest run that takes less room than the bytes themselves between two others.
+const SHORTEST_RUN: usize = 4;
+/// Longest run and longest row of single bytes that one count can say.
+const LONGEST_RUN: usize = 127;
+const LONGEST_PLAIN: usize = 128;
+
+/// Adds a row: four channels one after another, each run-length coded; flat where the format has no coding
+/// for its width.
+fn push_scanline(row: &[[u8; 4]], bytes: &mut Vec<u8>) {
+    let width = row.len();
+    if !(8..=0x7fff).contains(&width) {
+        bytes.extend(row.as_flattened());
+        return;
+    }
+    bytes.extend([2, 2, (width >> 8) as u8, width as u8]);
+    for channel in 0..4 {
+        let value = |x: usize| row[x][channel];
+        let run_at = |x: usize| {
+            let most = (width - x).min(LONGEST_RUN);
+            (1..most).find(|&n| value(x + n) != value(x)).unwrap_or(most)
+        };
+        let mut x = 0;
+        while x < width {
+            let run = run_at(x);
+            if run >= SHORTEST_RUN {
+                bytes.extend([(128 + run) as u8, value(x)]);
+                x += run;
+                continue;
+            }
+            let mut end = x + run;
+            while end < width && end - x < LONGEST_PLAIN && run_at(end) < SHORTEST_RUN {
+                end += 1;
+            }
+            bytes.push((end - x) as u8);
+            bytes.extend((x..end).map(value));
+            x = end;
+        }
+    }
+}
+
+/// Writes run-length coded RGBE, `-Y h +X w`, mantissas made as `mantissa` says.
 ///
 /// Prefer EXR: a colour keeps 8 bits of its strongest channel only, and nothing below zero.
 ///
@@ -250,13 +290,16 @@ pub fn write(path: &Path, linear: &Image<Rgb>, mantissa: Mantissa) -> Result<(),
         linear.width()
     )
     .into_bytes();
-    for (i, &l) in linear.pixels().iter().enumerate() {
-        let rgbe = encode(l, mantissa).ok_or_else(|| {
-            let (x, y) = (i % linear.width(), i / linear.width());
-            let cause = format!("pixel ({x}, {y}) is {l}, which RGBE cannot hold; write EXR");
-            PhotoError::Picture { path: path.into(), cause }
-        })?;
-        bytes.extend(rgbe);
+    let mut row = Vec::with_capacity(linear.width());
+    for y in 0..linear.height() {
+        row.clear();
+        for (x, &l) in linear.row(y).iter().enumerate() {
+            row.push(encode(l, mantissa).ok_or_else(|| {
+                let cause = format!("pixel ({x}, {y}) is {l}, which RGBE cannot hold; write EXR");
+                PhotoError::Picture { path: path.into(), cause }
+            })?);
+        }
+        push_scanline(&row, &mut bytes);
     }
     atomic::write(path, |file| file.write_all(&bytes))
         .map_err(|source| PhotoError::Write { path: path.into(), source })
@@ -306,5 +349,45 @@ mod tests {
             assert_eq!(encode(l, Mantissa::Truncated), None, "{l}");
         }
         assert_eq!(encode(Rgb::new(-1.0, 0.0, 0.0), Mantissa::Truncated), Some([0; 4]));
+    }
+    /// Rows of one colour, of noise, of runs of every length, and of widths that have no coding.
+    #[test]
+    fn rows_come_back_from_their_coding_bit_for_bit() {
+        let mut random = 1u32;
+        let mut next = move || {
+            random = random.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            (random >> 24) as u8
+        };
+        for width in [1, 7, 8, 9, 127, 128, 129, 255, 300, 1000, 0x7fff, 0x8000] {
+            for kind in 0..3 {
+                let mut last = [0u8; 4];
+                let row: Vec<[u8; 4]> = (0..width)
+                    .map(|_| {
+                        let anew = [next(), next(), next(), next()];
+                        for (v, new) in last.iter_mut().zip(anew) {
+                            let changes = match kind {
+                                0 => false,
+                                1 => next() < 60,
+                                _ => true,
+                            };
+                            *v = if changes { new | 128 } else { *v | 128 };
+                        }
+                        last
+                    })
+                    .collect();
+                let mut bytes = Vec::new();
+                push_scanline(&row, &mut bytes);
+                let mut back = vec![[0u8; 4]; width];
+                let rest = read_scanline(&bytes, &mut back).expect("a row that was written");
+                assert!(rest.is_empty(), "{width}, {kind}: {} bytes left", rest.len());
+                assert!(back == row, "{width}, {kind}");
+                if kind == 0 && (8..=0x7fff).contains(&width) {
+                    // Two bytes a run, and four for what is left of it.
+                    assert!(bytes.len() <= 4 + 4 * (2 * (width / 127) + 4), "{}", bytes.len());
+                }
+                // Noise costs a count for each 128 bytes.
+                assert!(bytes.len() <= 4 + 4 * (width + width.div_ceil(128)), "{width}, {kind}");
+            }
+        }
     }
 }
