@@ -353,7 +353,7 @@ fn write(
     file::write(&out, &panorama)?;
     if let Some(path) = &args.preview {
         let stops = (SHOWN * PI as f32 / brightest).log2();
-        write_png(&name(path), &tone::display(&panorama.radiance, stops, ToneCurve::Reinhard))?;
+        write_png(&name(path), &tone::display(&panorama.radiance, stops, ToneCurve::REINHARD))?;
     }
     let sun = sky.sun();
     Ok(FrameSummary {

@@ -25,6 +25,7 @@ pub mod text;
 pub mod tiff;
 pub mod tone;
 mod tone_curve;
+mod ward;
 
 pub use self::colour::NamedColour;
 pub use self::error::PhotoError;

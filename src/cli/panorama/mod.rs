@@ -60,7 +60,7 @@ pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
     }
     if let Some(path) = &args.preview {
         let shown = tone::automatic_stops(&panorama.radiance);
-        write_png(path, &tone::display(&panorama.radiance, shown, ToneCurve::Reinhard))?;
+        write_png(path, &tone::display(&panorama.radiance, shown, ToneCurve::REINHARD))?;
     }
     let summary = summary(args, &panorama, found.as_ref(), sky, warnings);
     for warning in &summary.warnings {
