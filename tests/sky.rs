@@ -11,6 +11,7 @@ use platelight::conventions::Rgb;
 use platelight::photo::exr_file::{self, ExrPicture, ExrSamples};
 use platelight::photo::{Image, ReadOptions};
 use platelight::probe::Panorama;
+use platelight::probe::axes::Axes;
 use platelight::probe::file::{self, Layout};
 use program::{platelight, text};
 
@@ -18,7 +19,9 @@ const MUNICH: [&str; 4] = ["--place", "48.14,11.58", "--time", "2026-06-21T12:00
 
 fn read(path: &Path) -> Panorama {
     let options = ReadOptions::default();
-    file::read(path, Layout::LatLong, DQuat::IDENTITY, None, &options).expect("a panorama").panorama
+    file::read(path, Layout::LatLong(Axes::OpenExr), DQuat::IDENTITY, None, &options)
+        .expect("a panorama")
+        .panorama
 }
 
 fn numbers(value: &serde_json::Value) -> [f64; 3] {

@@ -14,7 +14,7 @@ use exr::compression::Compression;
 use exr::math::Vec2;
 use exr::meta::BlockDescription;
 use exr::meta::attribute::{
-    AttributeValue, ChannelDescription, Chromaticities, EnvironmentMap, LineOrder, SampleType, Text,
+    AttributeValue, ChannelDescription, Chromaticities, LineOrder, SampleType, Text,
 };
 use exr::meta::header::{Header, ImageAttributes, LayerAttributes};
 use half::f16;
@@ -60,13 +60,21 @@ pub struct ExrAttributes {
     pub colour_id: Option<&'static str>,
     /// `chromaticities`, for older tools. Not together with `colour_id` (ASWF recommendation).
     pub chromaticities: Option<Primaries>,
-    /// `envmap`: the picture is a lat-long panorama.
-    pub lat_long: bool,
+    /// `envmap`: the picture is of all directions.
+    pub environment: Option<EnvironmentMap>,
     /// `worldToCamera`: OpenEXR's left-handed camera (+Z into the scene), row vectors.
     pub world_to_camera: Option<[f32; 16]>,
     /// `expTime`, `aperture`, `isoSpeed`, `nominalFocalLength` (mm) and `fieldOfViewHorizontal` (°, from
     /// the 35-mm equivalent) from these facts.
     pub facts: Option<Facts>,
+}
+
+/// A picture of all directions in OpenEXR's axes (ImfEnvmap.h).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum EnvironmentMap {
+    LatLong,
+    /// Six faces below each other: +X −X +Y −Y +Z −Z.
+    Cube,
 }
 
 /// `colorInteropID` of scene-linear Rec.709.
@@ -274,7 +282,10 @@ fn own_attributes(picture: &ExrPicture) -> LayerAttributes {
     let mut own = LayerAttributes {
         software_name: Some(concat!("platelight ", env!("CARGO_PKG_VERSION")).into()),
         comments: attributes.comments.as_deref().map(ascii),
-        environment_map: attributes.lat_long.then_some(EnvironmentMap::LatitudeLongitude),
+        environment_map: attributes.environment.map(|environment| match environment {
+            EnvironmentMap::LatLong => exr::meta::attribute::EnvironmentMap::LatitudeLongitude,
+            EnvironmentMap::Cube => exr::meta::attribute::EnvironmentMap::Cube,
+        }),
         world_to_camera: attributes.world_to_camera,
         ..LayerAttributes::default()
     };

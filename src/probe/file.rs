@@ -1,9 +1,9 @@
 //! Panoramas on disk: lat-long EXR with layers, and any picture of all directions.
 //!
-//! Written: EXR with `envmap`, R G B, `variance.R/G/B`, `validity.Y`, `coverage.Y`; rotation, place
-//! and unit in `comments` as JSON. Read: that, or any lat-long, angular map or cube cross that
-//! [`photo::read`](crate::photo::read()) reads; a lat-long must be 2:1, so that a mapping taken for
-//! another is an error and not half a sphere of wrong directions (F27).
+//! Written ([`picture_file`](super::picture_file)): EXR with `envmap`, R G B, `variance.R/G/B`,
+//! `validity.Y`, `coverage.Y`; axes, rotation, place, unit and origin in `comments` as JSON. Read: that, or
+//! any layout ([`Layout`]) that [`photo::read`](crate::photo::read()) reads; a lat-long must be 2:1, so that
+//! a mapping taken for another is an error and not half a sphere of wrong directions (F27).
 
 use std::borrow::Cow;
 use std::path::Path;
@@ -11,57 +11,24 @@ use std::path::Path;
 use glam::{DMat3, DQuat, DVec3};
 
 use super::ProbeError;
-use super::mapping::{Angular, BallMap, CubeCross, LatLong};
+use super::axes::{Axes, moved_columns, with_columns};
+use super::cube::{Cube, CubeFaces, CubeLayout};
+pub use super::layout::Layout;
+use super::mapping::{LatLong, Mapping};
 use super::panorama::Panorama;
-use super::resample::to_lat_long;
+use super::picture_file::{self, Origin};
+use super::resample::{Resampled, resample, to_lat_long};
 use super::unwrap::check_width;
 use crate::bracket::{self, Radiance, Validity};
 use crate::conventions::Rgb;
-use crate::photo::exr_file::{self, ExrAttributes, ExrPicture, ExrSamples, LINEAR_REC709};
-use crate::photo::{self, Format, Image, PhotoError, ReadOptions};
-
-/// How a picture of all directions is laid out.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Layout {
-    LatLong,
-    /// Debevec's angular map; −Z in the middle.
-    Angular,
-    /// Orthographic mirror-ball map; +Z in the middle.
-    BallMap,
-    /// Horizontal cube cross, 4 × 3 faces; −Z in the middle row's second face.
-    Cube,
-}
+use crate::photo::{self, Format, Image, Photo, PhotoError, ReadOptions};
 
 /// Writes a panorama, its texels in the world's axes: a turned one is resampled once.
 pub fn write(path: &Path, panorama: &Panorama) -> Result<(), PhotoError> {
     let panorama = &*in_world_axes(panorama);
-    let comments = serde_json::json!({
-        "what": "lat-long panorama: +Z in the middle, +X left of it, +Y up; texel areas tile the sphere",
-        "place_m": panorama.place.to_array(),
-        "validity": "0 measured, 1 single, 2 lower bound, 3 upper bound, 4 moved, 5 filled, 6 analytic",
-    });
-    let mut picture = ExrPicture {
-        width: panorama.width(),
-        height: panorama.height(),
-        channels: Vec::new(),
-        attributes: ExrAttributes {
-            comments: Some(comments.to_string()),
-            colour_id: Some(LINEAR_REC709),
-            lat_long: true,
-            ..ExrAttributes::default()
-        },
-    };
-    for (layer, image) in [("", &panorama.radiance), ("variance.", &panorama.variance)] {
-        for (channel, name) in ["R", "G", "B"].into_iter().enumerate() {
-            // Float: the sun does not fit a half.
-            let samples = image.pixels().iter().map(|l| l[channel]).collect();
-            picture.push(format!("{layer}{name}"), ExrSamples::F32(samples));
-        }
-    }
-    let classes = panorama.validity.pixels().iter().map(|&v| u32::from(v as u8)).collect();
-    picture.push("validity.Y", ExrSamples::U32(classes));
-    picture.push("coverage.Y", ExrSamples::F32(panorama.coverage.pixels().to_vec()));
-    exr_file::write(path, &picture)
+    let origin = Origin { place_m: panorama.place, ..Origin::default() };
+    let pictured = Resampled { light: light(panorama), coverage: panorama.coverage.clone() };
+    picture_file::write_exr(path, &pictured, Layout::LatLong(Axes::OpenExr), &origin)
 }
 
 /// The same light with its texels in the world's axes; resampled if it was turned.
@@ -70,23 +37,80 @@ pub fn in_world_axes(panorama: &Panorama) -> Cow<'_, Panorama> {
     if turn.angle_between(DQuat::IDENTITY) < 1e-12 {
         return Cow::Borrowed(panorama);
     }
-    let mapping = LatLong { width: panorama.width(), height: panorama.height() };
+    let size = (panorama.width(), panorama.height());
+    let lat_long = LatLong { width: size.0, height: size.1 };
     let back = DMat3::from_quat(turn.conjugate());
-    let source = Radiance {
-        mean: panorama.radiance.clone(),
-        variance: panorama.variance.clone(),
-        validity: panorama.validity.clone(),
-    };
-    let mut turned = to_lat_long(&source, &mapping, back, mapping.width);
+    let pictured = laid_out_by(panorama, &lat_long, size, back);
+    let mut turned = Panorama::from_radiance(pictured.light.mean);
+    turned.variance = pictured.light.variance;
+    turned.validity = pictured.light.validity;
+    turned.coverage = pictured.coverage;
     turned.place = panorama.place;
+    Cow::Owned(turned)
+}
+
+/// The panorama's light in another layout, `size` as the layout's [`mapping`](Layout::mapping) has it.
+///
+/// Columns that only move are moved, everything else is resampled once.
+///
+/// # Errors
+/// A size that the layout does not have.
+pub fn laid_out(
+    panorama: &Panorama,
+    layout: Layout,
+    size: (usize, usize),
+) -> Result<Resampled, ProbeError> {
+    let mapping = layout.mapping(size).ok_or_else(|| ProbeError::Value {
+        what: "the size of the picture",
+        found: format!("{} × {}", size.0, size.1),
+        expected: layout.shape(),
+    })?;
+    let world_from_target =
+        layout.axes().map_or(DMat3::IDENTITY, |axes| axes.picture_from_world().transpose());
+    let panorama_from_world = DMat3::from_quat(panorama.world_from_panorama.conjugate());
+    Ok(laid_out_by(panorama, &*mapping, size, panorama_from_world * world_from_target))
+}
+
+fn laid_out_by(
+    panorama: &Panorama,
+    target: &dyn Mapping,
+    size: (usize, usize),
+    panorama_from_target: DMat3,
+) -> Resampled {
+    let source = light(panorama);
+    let same_size = target.wraps() && size == (panorama.width(), panorama.height());
+    let columns = if same_size { moved_columns(panorama_from_target, size.0) } else { None };
+    if let Some(columns) = columns {
+        return Resampled {
+            light: Radiance {
+                mean: with_columns(&source.mean, &columns),
+                variance: with_columns(&source.variance, &columns),
+                validity: with_columns(&source.validity, &columns),
+            },
+            coverage: with_columns(&panorama.coverage, &columns),
+        };
+    }
+    let mapping = LatLong { width: panorama.width(), height: panorama.height() };
+    let mut pictured = resample(&source, &mapping, target, size, panorama_from_target);
+    if panorama.coverage.pixels().iter().all(|&seen| seen == 1.0) {
+        return pictured;
+    }
     let coverage = Radiance {
         mean: panorama.coverage.map(|c| Rgb::splat(*c)),
         variance: panorama.coverage.map(|_| Rgb::ZERO),
         validity: panorama.coverage.map(|_| Validity::Measured),
     };
-    let seen = to_lat_long(&coverage, &mapping, back, mapping.width);
-    turned.coverage = seen.radiance.map(|c| c.x);
-    Cow::Owned(turned)
+    let seen = resample(&coverage, &mapping, target, size, panorama_from_target);
+    pictured.coverage = seen.light.mean.map(|c| c.x);
+    pictured
+}
+
+fn light(panorama: &Panorama) -> Radiance {
+    Radiance {
+        mean: panorama.radiance.clone(),
+        variance: panorama.variance.clone(),
+        validity: panorama.validity.clone(),
+    }
 }
 
 /// A panorama read, and what was not right with its file.
@@ -125,8 +149,8 @@ impl std::fmt::Display for Negative {
 
 /// Reads a picture of all directions as a panorama.
 ///
-/// `rotation` takes the picture's axes to the world. Lat-longs keep their texels; other layouts are
-/// resampled to `width` texels ([`natural_width`] if `None`). The layers that [`write`] writes are
+/// `rotation` turns the picture, its axes taken as the layout says, in the world. Lat-longs keep their
+/// texels; other layouts are resampled to `width` texels ([`Layout::natural_width`] if `None`). The layers that [`write`] writes are
 /// read where they are; a picture without them is taken as exact, its clipped pixels as lower bounds.
 ///
 /// # Errors
@@ -138,46 +162,104 @@ pub fn read(
     width: Option<usize>,
     options: &ReadOptions,
 ) -> Result<ReadPanorama, ProbeError> {
-    let photo = photo::read(path, options)?;
-    let (negative, encoding) = (negative(&photo.linear), photo.encoding.clone());
-    let remarks = photo.named_remarks().collect();
-    let source = bracket::file::from_picture(&photo)?;
+    from_photo(&photo::read(path, options)?, layout, rotation, width)
+}
+
+/// As [`read`], of a picture that is there already.
+///
+/// # Errors
+/// As [`read`]'s.
+pub fn from_photo(
+    photo: &Photo,
+    layout: Layout,
+    rotation: DQuat,
+    width: Option<usize>,
+) -> Result<ReadPanorama, ProbeError> {
+    let (path, negative) = (&photo.path, negative(&photo.linear));
+    let source = bracket::file::from_picture(photo)?;
     let (w, h) = (source.mean.width(), source.mean.height());
-    if layout == Layout::LatLong {
-        if w != 2 * h {
-            return Err(ProbeError::NotLatLong { path: path.into(), width: w, height: h });
-        }
-        let mut panorama = lat_long(path, photo.format, source)?;
-        if photo.data_window.is_some() {
-            uncover_unseen(&mut panorama);
-        }
-        let panorama = panorama.rotated(rotation);
-        return Ok(ReadPanorama { panorama, negative, remarks, encoding });
-    }
-    let width = width.unwrap_or_else(|| natural_width(layout, w));
-    check_width(width)?;
-    let shape = |wanted: &'static str| ProbeError::Layout {
-        path: path.into(),
-        width: w,
-        height: h,
-        wanted,
+    let not_its_shape = || match layout {
+        Layout::LatLong(_) => ProbeError::NotLatLong { path: path.clone(), width: w, height: h },
+        _ => ProbeError::Layout { path: path.clone(), width: w, height: h, wanted: layout.shape() },
     };
+    let mapping = layout.mapping((w, h)).ok_or_else(not_its_shape)?;
     let mut panorama = match layout {
-        Layout::Cube if w % 4 == 0 && w / 4 * 3 == h => {
-            to_lat_long(&source, &CubeCross { face: w / 4 }, DMat3::IDENTITY, width)
+        Layout::LatLong(axes) => with_axes(lat_long(path, photo.format, source)?, axes),
+        _ => {
+            let width = width.unwrap_or_else(|| layout.natural_width(w));
+            check_width(width)?;
+            to_lat_long(&source, &*mapping, DMat3::IDENTITY, width)
         }
-        Layout::Cube => return Err(shape("a horizontal cube cross (4 faces wide, 3 high)")),
-        _ if w != h => return Err(shape("square")),
-        Layout::Angular => to_lat_long(&source, &Angular { size: w }, DMat3::IDENTITY, width),
-        Layout::BallMap => to_lat_long(&source, &BallMap { size: w }, DMat3::IDENTITY, width),
-        // Returned above.
-        Layout::LatLong => return Err(shape("twice as wide as high")),
     };
     if photo.data_window.is_some() {
         uncover_unseen(&mut panorama);
     }
-    let panorama = panorama.rotated(rotation);
-    Ok(ReadPanorama { panorama, negative, remarks, encoding })
+    Ok(ReadPanorama {
+        panorama: panorama.rotated(rotation),
+        negative,
+        remarks: photo.named_remarks().collect(),
+        encoding: photo.encoding.clone(),
+    })
+}
+
+/// The panorama of six pictures, the faces +X −X +Y −Y +Z −Z of a cube.
+///
+/// # Errors
+/// As [`read`]'s, and faces that are not square or not of one size.
+pub fn from_faces(
+    photos: &[Photo; 6],
+    faces: CubeFaces,
+    rotation: DQuat,
+    width: Option<usize>,
+) -> Result<ReadPanorama, ProbeError> {
+    let side = photos[0].linear.width();
+    for photo in photos {
+        let (width, height) = (photo.linear.width(), photo.linear.height());
+        if (width, height) != (side, side) {
+            let path = photo.path.clone();
+            let wanted = "a face of a cube: square, and as large as the first";
+            return Err(ProbeError::Layout { path, width, height, wanted });
+        }
+    }
+    let [a, b, c, d, e, f] = photos;
+    let light = |photo: &Photo| bracket::file::from_picture(photo);
+    let cells = [light(a)?, light(b)?, light(c)?, light(d)?, light(e)?, light(f)?];
+    let of = |x: usize, y: usize| (&cells[x / side], (x % side, y));
+    let strip = Radiance {
+        mean: Image::from_fn(6 * side, side, |x, y| of(x, y).0.mean[of(x, y).1]),
+        variance: Image::from_fn(6 * side, side, |x, y| of(x, y).0.variance[of(x, y).1]),
+        validity: Image::from_fn(6 * side, side, |x, y| of(x, y).0.validity[of(x, y).1]),
+    };
+    let layout = Layout::Cube(CubeLayout::Strip, faces);
+    let width = width.unwrap_or_else(|| layout.natural_width(6 * side));
+    check_width(width)?;
+    let mapping = Cube::new(CubeLayout::Strip, faces, side);
+    let panorama = to_lat_long(&strip, &mapping, DMat3::IDENTITY, width);
+    let negatives = photos.iter().filter_map(|photo| negative(&photo.linear));
+    Ok(ReadPanorama {
+        panorama: panorama.rotated(rotation),
+        negative: negatives.reduce(|a, b| Negative {
+            texels: a.texels + b.texels,
+            least: a.least.min(b.least),
+            brightest: a.brightest.max(b.brightest),
+        }),
+        remarks: photos.iter().flat_map(Photo::named_remarks).collect(),
+        encoding: photos[0].encoding.clone(),
+    })
+}
+
+/// A lat-long whose texels are in other axes than ours: a mirrored one is mirrored back, then turned.
+fn with_axes(mut panorama: Panorama, axes: Axes) -> Panorama {
+    let mut world_from_picture = axes.picture_from_world().transpose();
+    if world_from_picture.determinant() < 0.0 {
+        let mirrored: Vec<usize> = (0..panorama.width()).rev().collect();
+        panorama.radiance = with_columns(&panorama.radiance, &mirrored);
+        panorama.variance = with_columns(&panorama.variance, &mirrored);
+        panorama.validity = with_columns(&panorama.validity, &mirrored);
+        panorama.coverage = with_columns(&panorama.coverage, &mirrored);
+        world_from_picture *= DMat3::from_diagonal(DVec3::new(-1.0, 1.0, 1.0));
+    }
+    panorama.rotated(DQuat::from_mat3(&world_from_picture))
 }
 
 /// What no pixel of the file shows is not covered.
@@ -188,16 +270,6 @@ fn uncover_unseen(panorama: &mut Panorama) {
             *coverage = 0.0;
         }
     }
-}
-
-/// Width at which the layout's middle keeps its resolution.
-fn natural_width(layout: Layout, width: usize) -> usize {
-    let texels = match layout {
-        Layout::LatLong | Layout::Cube => width,
-        Layout::Angular => width,
-        Layout::BallMap => width * 3 / 2,
-    };
-    (texels.clamp(64, 8192) / 2) * 2
 }
 
 fn negative(linear: &Image<Rgb>) -> Option<Negative> {
@@ -239,8 +311,9 @@ pub fn rotation_xyz_deg(degrees: [f64; 3]) -> DQuat {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::bracket::Validity;
     use glam::DVec2;
+
+    const LAT_LONG: Layout = Layout::LatLong(Axes::OpenExr);
 
     fn read(
         path: &Path,
@@ -262,7 +335,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("pano.exr");
         write(&path, &panorama).unwrap();
-        let back = read(&path, Layout::LatLong, DQuat::IDENTITY, None).unwrap().panorama;
+        let back = read(&path, LAT_LONG, DQuat::IDENTITY, None).unwrap().panorama;
         assert_eq!(back.radiance, panorama.radiance);
         assert_eq!(back.variance, panorama.variance);
         assert_eq!(back.validity, panorama.validity);
@@ -282,7 +355,7 @@ mod tests {
         let mut turned = Panorama::from_radiance(smooth).rotated(turn);
         turned.place = DVec3::new(0.1, 0.2, 0.3);
         write(&path, &turned).unwrap();
-        let read = read(&path, Layout::LatLong, DQuat::IDENTITY, None).unwrap().panorama;
+        let read = read(&path, LAT_LONG, DQuat::IDENTITY, None).unwrap().panorama;
         for (x, y) in [(3, 16), (20, 10), (40, 20), (60, 15)] {
             let d = read.direction(x, y);
             let l = f64::from(read.radiance[(x, y)].x);
@@ -306,7 +379,7 @@ mod tests {
         };
         let samples = photo::Samples::U8 { channels: 3, data: codes };
         photo::png::write(&path, &samples, 16, 8, &encoding).unwrap();
-        let found = read(&path, Layout::LatLong, DQuat::IDENTITY, None).unwrap();
+        let found = read(&path, LAT_LONG, DQuat::IDENTITY, None).unwrap();
         assert_eq!(found.panorama.validity[(5, 3)], Validity::LowerBound);
         assert_eq!(found.panorama.share(Validity::Measured), {
             let clipped = found.panorama.solid_angle(3) / (4.0 * std::f64::consts::PI);
@@ -332,14 +405,14 @@ mod tests {
         let mut panorama = Panorama::from_radiance(Image::filled(16, 8, Rgb::ONE));
         panorama.radiance[(2, 2)] = Rgb::new(1.0, -0.25, 1.0);
         write(&path, &panorama).unwrap();
-        let found = read(&path, Layout::LatLong, DQuat::IDENTITY, None).unwrap();
+        let found = read(&path, LAT_LONG, DQuat::IDENTITY, None).unwrap();
         assert_eq!(found.panorama.radiance[(2, 2)], Rgb::new(1.0, 0.0, 1.0));
         let negative = found.negative.expect("one texel is negative");
         assert_eq!((negative.texels, negative.least), (1, -0.25));
 
         panorama.variance[(1, 1)] = Rgb::splat(f32::NAN);
         write(&path, &panorama).unwrap();
-        let error = read(&path, Layout::LatLong, DQuat::IDENTITY, None).unwrap_err();
+        let error = read(&path, LAT_LONG, DQuat::IDENTITY, None).unwrap_err();
         assert!(error.to_string().contains("variance"), "{error}");
     }
 
@@ -350,12 +423,12 @@ mod tests {
         let square = Image::filled(64, 64, Rgb::ONE);
         photo::radiance_hdr::write(&path, &square, Default::default()).unwrap();
         let refused = |layout| read(&path, layout, DQuat::IDENTITY, None).unwrap_err().to_string();
-        assert!(refused(Layout::LatLong).contains("angular"), "{}", refused(Layout::LatLong));
-        assert!(refused(Layout::Cube).contains("cube"));
+        assert!(refused(LAT_LONG).contains("angular"), "{}", refused(LAT_LONG));
+        assert!(refused(Layout::Cube(CubeLayout::Cross, CubeFaces::Inside)).contains("cube"));
         let angular = read(&path, Layout::Angular, DQuat::IDENTITY, Some(64)).unwrap().panorama;
         assert_eq!((angular.width(), angular.height()), (64, 32));
         assert!(read(&path, Layout::Angular, DQuat::IDENTITY, Some(3)).is_err());
-        assert!(read(Path::new("nowhere.exr"), Layout::LatLong, DQuat::IDENTITY, None).is_err());
+        assert!(read(Path::new("nowhere.exr"), LAT_LONG, DQuat::IDENTITY, None).is_err());
     }
 
     #[test]

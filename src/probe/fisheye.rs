@@ -120,6 +120,14 @@ impl Fisheye {
     pub fn radius_px(&self) -> f64 {
         self.focal_px * self.projection.radius(self.edge_rad)
     }
+
+    /// Distance of `pixel` from the middle as a share of the circle's radius, and its angle off the axis,
+    /// radians; `None` outside of the circle.
+    pub fn off_axis(&self, pixel: DVec2) -> Option<(f64, f64)> {
+        let radius = (pixel - self.centre).length();
+        let share = radius / self.radius_px();
+        (share <= 1.0).then(|| (share, self.projection.angle(radius / self.focal_px)))
+    }
 }
 
 impl Mapping for Fisheye {

@@ -1,4 +1,5 @@
-//! Pictures of all directions: lat-long, angular map, mirror-ball map, cube cross; and any lens.
+//! Pictures of directions: lat-long, angular map and mirror-ball map here; cubes, fisheyes and lenses in
+//! their own files.
 //!
 //! [`Mapping`] takes pixels to directions and back, each with the solid angle of a pixel. Axes are
 //! the picture's own: angular map, ball map and cube are as a camera at the centre holds
@@ -39,6 +40,67 @@ pub trait Mapping: Sync {
     fn wraps(&self) -> bool {
         false
     }
+
+    /// Solid angle of one of the `side` × `side` parts of a pixel in row `y`, sr: of the `j`-th from above;
+    /// `None` where not all pixels of a row have the same.
+    fn part_of_row(&self, _y: usize, _j: usize, _side: usize) -> Option<f64> {
+        None
+    }
+
+    /// Which of the pieces that the picture is put together from (the faces of a cube) holds `pixel`.
+    ///
+    /// Within a piece neighbouring pixels show neighbouring directions; across two they may not.
+    fn piece(&self, _pixel: DVec2) -> usize {
+        0
+    }
+
+    /// Direction at `pixel`, if the piece that holds `inside` went on there.
+    fn direction_beyond(&self, _inside: DVec2, pixel: DVec2) -> Option<DVec3> {
+        self.direction(pixel)
+    }
+
+    /// The pixel that shows what pixel (x, y) would, if the piece that holds `inside` went on there.
+    fn continued(&self, _inside: DVec2, x: i64, y: i64) -> (i64, i64) {
+        (x, y)
+    }
+}
+
+impl<M: Mapping + ?Sized> Mapping for &M {
+    fn pixel(&self, direction: DVec3) -> Option<DVec2> {
+        (**self).pixel(direction)
+    }
+
+    fn direction(&self, pixel: DVec2) -> Option<DVec3> {
+        (**self).direction(pixel)
+    }
+
+    fn solid_angle(&self, pixel: DVec2) -> Option<f64> {
+        (**self).solid_angle(pixel)
+    }
+
+    fn covers(&self, x: usize, y: usize) -> bool {
+        (**self).covers(x, y)
+    }
+
+    fn wraps(&self) -> bool {
+        (**self).wraps()
+    }
+
+    fn part_of_row(&self, y: usize, j: usize, side: usize) -> Option<f64> {
+        (**self).part_of_row(y, j, side)
+    }
+
+    fn piece(&self, pixel: DVec2) -> usize {
+        (**self).piece(pixel)
+    }
+
+    fn direction_beyond(&self, inside: DVec2, pixel: DVec2) -> Option<DVec3> {
+        (**self).direction_beyond(inside, pixel)
+    }
+
+    fn continued(&self, inside: DVec2, x: i64, y: i64) -> (i64, i64) {
+        (**self).continued(inside, x, y)
+    }
 }
 
 /// Lat-long as in `conventions`.
@@ -64,6 +126,17 @@ impl Mapping for LatLong {
 
     fn wraps(&self) -> bool {
         true
+    }
+
+    fn part_of_row(&self, y: usize, j: usize, side: usize) -> Option<f64> {
+        Some(lat_long_solid_angle(y * side + j, self.width * side, self.height * side))
+    }
+
+    fn continued(&self, _inside: DVec2, x: i64, y: i64) -> (i64, i64) {
+        let (w, h) = (self.width as i64, self.height as i64);
+        // Saturating: a place beyond all integers is outside, not an overflow.
+        let x = if y < 0 || y >= h { x.saturating_add(w / 2) } else { x };
+        (x.rem_euclid(w), y.clamp(0, h - 1))
     }
 }
 
@@ -110,7 +183,8 @@ impl Angular {
 
 /// The orthographic mirror-ball map: centre +Z (back to the camera), rim −Z. Equal-area (A4).
 ///
-/// For pictures *made* in this mapping; a photographed ball is [`Mirror`](super::ball::Mirror).
+/// OpenGL's sphere map (`GL_SPHERE_MAP`) is the same. For pictures *made* in this mapping; a photographed
+/// ball is [`Mirror`](super::ball::Mirror).
 #[derive(Clone, Copy, Debug)]
 pub struct BallMap {
     pub size: usize,
@@ -139,60 +213,6 @@ impl Mapping for BallMap {
     }
 }
 
-/// Horizontal cube cross, 4 × 3 faces: left, front (−Z), right, back in the middle row, top and
-/// bottom above and below the front.
-#[derive(Clone, Copy, Debug)]
-pub struct CubeCross {
-    /// Side of a face, px; the picture is 4 × 3 of them.
-    pub face: usize,
-}
-
-/// A face's place in the cross (column, row) and its axes: right, up, outwards.
-const FACES: [([f64; 2], DVec3, DVec3, DVec3); 6] = [
-    ([0.0, 1.0], DVec3::NEG_Z, DVec3::Y, DVec3::NEG_X),
-    ([1.0, 1.0], DVec3::X, DVec3::Y, DVec3::NEG_Z),
-    ([2.0, 1.0], DVec3::Z, DVec3::Y, DVec3::X),
-    ([3.0, 1.0], DVec3::NEG_X, DVec3::Y, DVec3::Z),
-    ([1.0, 0.0], DVec3::X, DVec3::Z, DVec3::Y),
-    ([1.0, 2.0], DVec3::X, DVec3::NEG_Z, DVec3::NEG_Y),
-];
-
-impl Mapping for CubeCross {
-    fn pixel(&self, direction: DVec3) -> Option<DVec2> {
-        // The face whose outward axis is nearest; ties on edges go to the first.
-        let (mut best, mut most) = (&FACES[0], f64::NEG_INFINITY);
-        for face in &FACES {
-            if direction.dot(face.3) > most {
-                (best, most) = (face, direction.dot(face.3));
-            }
-        }
-        let &([column, row], right, up, _) = best;
-        let u = 0.5 + 0.5 * direction.dot(right) / most;
-        let v = 0.5 - 0.5 * direction.dot(up) / most;
-        Some(DVec2::new(column + u, row + v) * self.face as f64 - 0.5)
-    }
-
-    fn direction(&self, pixel: DVec2) -> Option<DVec3> {
-        let (outward, right, up, u, v) = self.on_face(pixel)?;
-        Some((outward + right * u + up * v).normalize())
-    }
-
-    fn solid_angle(&self, pixel: DVec2) -> Option<f64> {
-        let (_, _, _, u, v) = self.on_face(pixel)?;
-        Some((2.0 / self.face as f64).powi(2) / (1.0 + u * u + v * v).powf(1.5))
-    }
-}
-
-impl CubeCross {
-    /// Axes (outward, right, up) of the face under `pixel` and the place on it, −1…1.
-    fn on_face(&self, pixel: DVec2) -> Option<(DVec3, DVec3, DVec3, f64, f64)> {
-        let p = (pixel + 0.5) / self.face as f64;
-        let (column, row) = (p.x.floor(), p.y.floor());
-        let &(_, right, up, outward) = FACES.iter().find(|f| f.0 == [column, row])?;
-        Some((outward, right, up, 2.0 * (p.x - column) - 1.0, 1.0 - 2.0 * (p.y - row)))
-    }
-}
-
 /// Direction `theta` from −Z on the side of `p` (picture axes, y down).
 pub(super) fn from_axis(theta: f64, p: DVec2) -> DVec3 {
     let way = p.normalize_or_zero() * theta.sin();
@@ -218,7 +238,6 @@ mod tests {
             ("lat-long", Box::new(LatLong { width: 512, height: 256 })),
             ("angular", Box::new(Angular { size: 512 })),
             ("ball map", Box::new(BallMap { size: 512 })),
-            ("cube", Box::new(CubeCross { face: 128 })),
         ]
     }
 
@@ -278,15 +297,17 @@ mod tests {
         assert!((at(DVec3::Z) - 0.5).length() < 1e-12);
         assert!((at(DVec3::X).x - (0.5 + 0.5 * 0.5f64.sqrt())).abs() < 1e-12);
         assert!(((at(DVec3::NEG_Z) - 0.5).length() - 0.5).abs() < 1e-12);
+    }
 
-        let cube = CubeCross { face: 100 };
-        let at = |d: DVec3| (cube.pixel(d).unwrap() + 0.5) / 100.0;
-        assert!((at(DVec3::NEG_Z) - DVec2::new(1.5, 1.5)).length() < 1e-12);
-        assert!((at(DVec3::X) - DVec2::new(2.5, 1.5)).length() < 1e-12);
-        assert!((at(DVec3::Y) - DVec2::new(1.5, 0.5)).length() < 1e-12);
-        // Looking up from the front keeps right on the right.
-        let up_right = DVec3::new(0.3, 1.0, -0.2);
-        assert!(at(up_right).x > 1.5 && at(up_right).y > 0.5 && at(up_right).y < 1.0);
+    /// OpenGL 2.1, 2.11.4: s = r_x/m + ½, t = r_y/m + ½ with m = 2 √(r_x² + r_y² + (r_z + 1)²), t upwards.
+    #[test]
+    fn the_sphere_map_of_opengl_is_the_ball_map() {
+        let ball = BallMap { size: 300 };
+        for r in directions() {
+            let m = 2.0 * (r.x * r.x + r.y * r.y + (r.z + 1.0).powi(2)).sqrt();
+            let gl = DVec2::new(r.x / m + 0.5, 0.5 - r.y / m) * 300.0 - 0.5;
+            assert!((ball.pixel(r).unwrap() - gl).length() < 1e-9, "{r}");
+        }
     }
 
     /// A1: near the axis `acos` in f32 is 100 % wrong; the arctangent is not.

@@ -7,23 +7,34 @@
 //! Start with [`Panorama`] and [`photographed`]. This room never lights anything, never
 //! merges a bracket, and never takes the direction to a ball from anything but its rim.
 
+pub mod axes;
 pub mod ball;
 pub mod circles;
 pub mod clipped;
+pub mod cube;
 pub mod doubt;
 pub mod edges;
 pub mod file;
 pub mod fill;
 pub mod find;
 pub mod fisheye;
+pub mod irradiance;
+pub mod layout;
+pub mod lens_picture;
 pub mod mapping;
 pub mod overlay;
 pub mod panorama;
 pub mod photographed;
+pub mod picture_file;
+#[cfg(test)]
+mod projection_tests;
+pub mod quality;
 pub mod resample;
 pub mod rim;
 pub mod ring;
+pub mod scatter;
 pub mod unwrap;
+pub mod vignetting;
 
 pub use self::ball::Ball;
 pub use self::clipped::{ClippedRegion, clipped_regions};
@@ -53,6 +64,8 @@ pub enum ProbeError {
     ShortArc { arc_deg: f64 },
     #[error("{what}: {found} is not {expected}")]
     Value { what: &'static str, found: String, expected: &'static str },
+    #[error("{found:?} is no {what}; known are {known}")]
+    Name { what: &'static str, found: String, known: String },
     #[error("{}: {width} × {height} is not a lat-long picture: the width must be twice the height; if it is an angular map or a cube, say so (mapping = \"angular\")", path.display())]
     NotLatLong { path: PathBuf, width: usize, height: usize },
     #[error("{}: {width} × {height} is not {wanted}; name the mapping the file really has", path.display())]

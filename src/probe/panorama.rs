@@ -102,6 +102,13 @@ impl Panorama {
         sum.as_vec3()
     }
 
+    /// `∫ ω dω` over texel (`x`, `y`), exactly, in the picture's axes.
+    pub fn first_moment(&self, x: usize, y: usize) -> DVec3 {
+        let (level, up) = self.row_moment(y);
+        let [east, south] = self.column_moment(x);
+        DVec3::new(level * east, up * self.column_angle(), level * south)
+    }
+
     /// Width of a column, radians.
     fn column_angle(&self) -> f64 {
         2.0 * std::f64::consts::PI / self.width() as f64

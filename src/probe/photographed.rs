@@ -7,6 +7,7 @@ use super::ball::Ball;
 use super::fill;
 use super::find::BallImage;
 use super::fisheye::Fisheye;
+use super::mapping::Mapping;
 use super::panorama::Panorama;
 use super::resample::to_lat_long;
 use super::unwrap::{Support, check_width, natural_width, unwrap_ball};
@@ -48,9 +49,24 @@ pub fn fisheye(
     width: Option<usize>,
 ) -> Result<Panorama, ProbeError> {
     let width = width.unwrap_or_else(|| natural_width(fisheye.radius_px()));
+    through(radiance, fisheye, world_from_lens, width)
+}
+
+/// The panorama of what any picture of directions shows; `world_from_picture` turns its axes to the world's.
+///
+/// What it does not show is filled from around it, as for a fisheye.
+///
+/// # Errors
+/// A width that no panorama has.
+pub fn through<M: Mapping + ?Sized>(
+    radiance: &Radiance,
+    mapping: &M,
+    world_from_picture: DQuat,
+    width: usize,
+) -> Result<Panorama, ProbeError> {
     check_width(width)?;
-    let lens_from_world = DMat3::from_quat(world_from_lens.inverse());
-    let mut panorama = to_lat_long(radiance, fisheye, lens_from_world, width);
+    let picture_from_world = DMat3::from_quat(world_from_picture.inverse());
+    let mut panorama = to_lat_long(radiance, mapping, picture_from_world, width);
     let gap = Image::from_fn(width, width / 2, |x, y| panorama.coverage[(x, y)] < 0.5);
     fill::from_around(&mut panorama, &gap);
     Ok(panorama)

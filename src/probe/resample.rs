@@ -1,24 +1,22 @@
-//! Any probe picture → lat-long, conserving light.
+//! Any picture of directions → lat-long or any other, conserving light.
 //!
 //! A map of light is a measure: ∫L dω and ∫L ω dω must survive. Texels gather `S × S` bilinear
-//! samples, S = ⌈2 · source pixels per texel⌉ up to 8, each weighed by its exact strip of solid
-//! angle; one sample alone loses up to 31 % of a lamp (methods-capture C5). What is brighter than
-//! 50 medians (lamps, the sun) is cut off there first and its excess is scattered forward, flux by
-//! flux, over the tent that bilinear interpolation would give it: exact whatever the texels' size.
+//! samples, S = ⌈2 · source pixels per texel⌉ up to 8, each weighed by its solid angle; one sample
+//! alone loses up to 31 % of a lamp (methods-capture C5). What is brighter than 50 medians (lamps,
+//! the sun) is cut off there first and its excess is scattered forward ([`scatter`](super::scatter)).
 //!
 //! Samples never mix validity classes: of the four neighbours only those in the nearest one's group
 //! count. A texel's class is the worst it mixed, but [`Validity::LowerBound`] outlives all others:
 //! a clipped lamp must never look measured.
 
-use glam::{DMat3, DVec2, DVec3};
+use glam::{DMat3, DVec2};
 use rayon::prelude::*;
 
-use super::mapping::Mapping;
+use super::mapping::{LatLong, Mapping};
 use super::panorama::Panorama;
+use super::scatter::scatter_lamps;
 use crate::bracket::{Radiance, Validity};
-use crate::conventions::{
-    Rgb, lat_long_direction, lat_long_pixel, lat_long_solid_angle, luminance,
-};
+use crate::conventions::{Rgb, luminance};
 use crate::photo::Image;
 
 /// Brighter than this many medians is a lamp: its flux is scattered forward.
@@ -26,6 +24,9 @@ const LAMP_MEDIANS: f32 = 50.0;
 
 /// Largest number of samples along a texel's side.
 const MAX_SIDE: usize = 8;
+
+/// Corners of a texel are taken this far inside it, px: right on an edge they may be another face's.
+const INSET: f64 = 1e-6;
 
 /// `source`, seen through `mapping`, as a lat-long of `width` × `width / 2` texels.
 ///
@@ -37,21 +38,75 @@ pub fn to_lat_long<M: Mapping + ?Sized>(
     mapping_from_panorama: DMat3,
     width: usize,
 ) -> Panorama {
-    let gatherer = Gatherer::new(source, mapping, mapping_from_panorama, width);
-    let mut panorama = gatherer.gather();
-    scatter_lamps(&gatherer, &mut panorama);
+    let target = LatLong { width, height: width / 2 };
+    let Resampled { light, coverage } =
+        resample(source, mapping, &target, (width, width / 2), mapping_from_panorama);
+    let mut panorama = Panorama::from_radiance(light.mean);
+    panorama.variance = light.variance;
+    panorama.validity = light.validity;
+    panorama.coverage = coverage;
     panorama
 }
 
-/// A source picture ready to be sampled for texels of a lat-long.
-pub(super) struct Gatherer<'a, M: Mapping + ?Sized> {
-    source: &'a Radiance,
-    mapping: &'a M,
-    turn: DMat3,
-    width: usize,
-    usable: Image<bool>,
+/// A picture of directions, and the share of each texel that its source showed, 0…1.
+#[derive(Clone, Debug)]
+pub struct Resampled {
+    pub light: Radiance,
+    pub coverage: Image<f32>,
+}
+
+impl Resampled {
+    /// The part of `width` × `height` texels whose first one is (`left`, `top`).
+    pub fn part(&self, (left, top): (usize, usize), (width, height): (usize, usize)) -> Self {
+        fn cut<T: Clone>(
+            image: &Image<T>,
+            left: usize,
+            top: usize,
+            size: (usize, usize),
+        ) -> Image<T> {
+            Image::from_fn(size.0, size.1, |x, y| image[(left + x, top + y)].clone())
+        }
+        let size = (width, height);
+        Self {
+            light: Radiance {
+                mean: cut(&self.light.mean, left, top, size),
+                variance: cut(&self.light.variance, left, top, size),
+                validity: cut(&self.light.validity, left, top, size),
+            },
+            coverage: cut(&self.coverage, left, top, size),
+        }
+    }
+}
+
+/// `source`, seen through `mapping`, as the picture of `size` texels that `target` maps.
+///
+/// `mapping_from_target` takes a direction of the target's axes to the mapping's; it may mirror. Texels
+/// that the source does not show, or the target has no direction for, are black,
+/// [`Validity::Filled`] and of coverage 0. Those on the target's rim hold the mean of their part inside.
+pub fn resample<M: Mapping + ?Sized, D: Mapping>(
+    source: &Radiance,
+    mapping: &M,
+    target: D,
+    size: (usize, usize),
+    mapping_from_target: DMat3,
+) -> Resampled {
+    let gatherer = Gatherer::new(source, mapping, target, size, mapping_from_target);
+    let mut resampled = gatherer.gather();
+    scatter_lamps(&gatherer, &mut resampled.light.mean);
+    resampled
+}
+
+/// A source picture ready to be sampled for texels of a target.
+pub(super) struct Gatherer<'a, M: Mapping + ?Sized, D: Mapping> {
+    pub(super) source: &'a Radiance,
+    pub(super) mapping: &'a M,
+    pub(super) target: D,
+    pub(super) turn: DMat3,
+    pub(super) width: usize,
+    pub(super) height: usize,
+    pub(super) usable: Image<bool>,
     /// Luminance above which a pixel is a lamp; infinite in a black picture.
-    lamp_level: f32,
+    pub(super) lamp_level: f32,
 }
 
 /// What one texel mixed.
@@ -62,8 +117,14 @@ pub(super) struct Texel {
     pub coverage: f32,
 }
 
-impl<'a, M: Mapping + ?Sized> Gatherer<'a, M> {
-    pub(super) fn new(source: &'a Radiance, mapping: &'a M, turn: DMat3, width: usize) -> Self {
+impl<'a, M: Mapping + ?Sized, D: Mapping> Gatherer<'a, M, D> {
+    pub(super) fn new(
+        source: &'a Radiance,
+        mapping: &'a M,
+        target: D,
+        (width, height): (usize, usize),
+        turn: DMat3,
+    ) -> Self {
         let (w, h) = (source.mean.width(), source.mean.height());
         let rows: Vec<Vec<bool>> = (0..h)
             .into_par_iter()
@@ -72,46 +133,50 @@ impl<'a, M: Mapping + ?Sized> Gatherer<'a, M> {
         let usable = Image::from_fn(w, h, |x, y| rows[y][x]);
         let lamp_level = LAMP_MEDIANS * median_luminance(source, &usable);
         let lamp_level = if lamp_level > 0.0 { lamp_level } else { f32::INFINITY };
-        Self { source, mapping, turn, width, usable, lamp_level }
-    }
-
-    fn height(&self) -> usize {
-        self.width / 2
+        Self { source, mapping, target, turn, width, height, usable, lamp_level }
     }
 
     /// All texels, lamps cut off at the lamp level.
-    fn gather(&self) -> Panorama {
-        let (w, h) = (self.width, self.height());
-        let rows: Vec<Vec<Texel>> = (0..h)
-            .into_par_iter()
-            .map(|y| {
-                let (above, below) = (self.corners(y), self.corners(y + 1));
-                let mut taps = Taps::default();
-                (0..w)
-                    .map(|x| {
-                        let cell = [above[x], above[x + 1], below[x], below[x + 1]];
-                        self.texel(x, y, cell, &mut taps)
-                    })
-                    .collect()
-            })
-            .collect();
-        let mut panorama = Panorama::from_radiance(Image::filled(w, h, Rgb::ZERO));
-        for (y, row) in rows.into_iter().enumerate() {
-            for (x, texel) in row.into_iter().enumerate() {
-                panorama.radiance[(x, y)] = texel.radiance;
-                panorama.variance[(x, y)] = texel.variance;
-                panorama.validity[(x, y)] = texel.validity;
-                panorama.coverage[(x, y)] = texel.coverage;
-            }
+    fn gather(&self) -> Resampled {
+        let (w, h) = (self.width, self.height);
+        let rows: Vec<Vec<Texel>> = (0..h).into_par_iter().map(|y| self.row(y)).collect();
+        let of = |x: usize, y: usize| &rows[y][x];
+        Resampled {
+            light: Radiance {
+                mean: Image::from_fn(w, h, |x, y| of(x, y).radiance),
+                variance: Image::from_fn(w, h, |x, y| of(x, y).variance),
+                validity: Image::from_fn(w, h, |x, y| of(x, y).validity),
+            },
+            coverage: Image::from_fn(w, h, |x, y| of(x, y).coverage),
         }
-        panorama
+    }
+
+    fn row(&self, y: usize) -> Vec<Texel> {
+        let mut taps = Taps::default();
+        if !self.target.wraps() {
+            return (0..self.width).map(|x| self.texel(x, y, self.cell(x, y), &mut taps)).collect();
+        }
+        // Without edges in the picture neighbours share their corners.
+        let (above, below) = (self.corners(y), self.corners(y + 1));
+        (0..self.width)
+            .map(|x| {
+                let cell = [above[x], above[x + 1], below[x], below[x + 1]];
+                self.texel(x, y, cell, &mut taps)
+            })
+            .collect()
     }
 
     /// The single texel (`x`, `y`).
     pub(super) fn one(&self, x: usize, y: usize) -> Texel {
-        let corner = |dx: f64, dy: f64| self.locate(x as f64 - 0.5 + dx, y as f64 - 0.5 + dy);
-        let cell = [corner(0.0, 0.0), corner(1.0, 0.0), corner(0.0, 1.0), corner(1.0, 1.0)];
-        self.texel(x, y, cell, &mut Taps::default())
+        self.texel(x, y, self.cell(x, y), &mut Taps::default())
+    }
+
+    /// Source pixels of the corners of texel (`x`, `y`).
+    fn cell(&self, x: usize, y: usize) -> [Option<DVec2>; 4] {
+        let inset = if self.target.wraps() { 0.0 } else { INSET };
+        let (near, far) = (inset - 0.5, 0.5 - inset);
+        [(near, near), (far, near), (near, far), (far, far)]
+            .map(|(dx, dy)| self.locate(x as f64 + dx, y as f64 + dy))
     }
 
     /// Source pixels of the texel corners along the upper edge of row `y`.
@@ -119,10 +184,9 @@ impl<'a, M: Mapping + ?Sized> Gatherer<'a, M> {
         (0..=self.width).map(|x| self.locate(x as f64 - 0.5, y as f64 - 0.5)).collect()
     }
 
-    /// Source pixel of a point of the panorama.
+    /// Source pixel of a point of the target.
     fn locate(&self, x: f64, y: f64) -> Option<DVec2> {
-        let direction = lat_long_direction(DVec2::new(x, y), self.width, self.height());
-        self.mapping.pixel(self.turn * direction)
+        self.mapping.pixel(self.turn * self.target.direction(DVec2::new(x, y))?)
     }
 
     fn texel(&self, x: usize, y: usize, cell: [Option<DVec2>; 4], taps: &mut Taps) -> Texel {
@@ -132,15 +196,17 @@ impl<'a, M: Mapping + ?Sized> Gatherer<'a, M> {
         let mut asked = 0.0;
         for j in 0..side {
             let v = (j as f64 + 0.5) / side as f64;
-            let weight =
-                lat_long_solid_angle(y * side + j, self.width * side, self.height() * side);
+            let strip = self.target.part_of_row(y, j, side);
             for i in 0..side {
                 let u = (i as f64 + 0.5) / side as f64;
+                let at = DVec2::new(x as f64 - 0.5 + u, y as f64 - 0.5 + v);
+                // Beyond the target's rim there is nothing to ask for.
+                let Some(weight) = strip.or_else(|| self.target.solid_angle(at)) else { continue };
                 asked += weight;
                 // The map is smooth within a cell of a pixel or few: interpolate it.
                 let place = match smooth {
                     Some([a, b, c, d]) => Some(a.lerp(b, u).lerp(c.lerp(d, u), v)),
-                    None => self.locate(x as f64 - 0.5 + u, y as f64 - 0.5 + v),
+                    None => self.locate(at.x, at.y),
                 };
                 if let Some(place) = place {
                     self.tap(place, weight, taps);
@@ -160,7 +226,8 @@ impl<'a, M: Mapping + ?Sized> Gatherer<'a, M> {
             }
         }
         // Wider cells lie near a pole or rim of the source, where the map bends.
-        let near = |p: DVec2| (p - a).length() < 16.0;
+        let piece = self.mapping.piece(a);
+        let near = |p: DVec2| (p - a).length() < 16.0 && self.mapping.piece(p) == piece;
         (near(b) && near(c) && near(d)).then_some([a, b, c, d])
     }
 
@@ -174,7 +241,7 @@ impl<'a, M: Mapping + ?Sized> Gatherer<'a, M> {
             // Saturating: a place beyond all integers is outside, not an overflow.
             let (right, down) = ((k & 1) as i64, (k >> 1) as i64);
             let (x, y) = (corner.x as i64, corner.y as i64);
-            *slot = self.index(x.saturating_add(right), y.saturating_add(down));
+            *slot = self.index(place, x.saturating_add(right), y.saturating_add(down));
         }
         // The nearest usable neighbour decides the class.
         let mut nearest: Option<usize> = None;
@@ -202,18 +269,12 @@ impl<'a, M: Mapping + ?Sized> Gatherer<'a, M> {
         taps.seen += weight;
     }
 
-    /// Index of a usable pixel, wrapped where the picture wraps.
-    fn index(&self, mut x: i64, mut y: i64) -> Option<usize> {
+    /// Index of the usable pixel that is at (x, y) as seen from `inside`.
+    fn index(&self, inside: DVec2, x: i64, y: i64) -> Option<usize> {
         let (w, h) = (self.usable.width() as i64, self.usable.height() as i64);
-        if self.mapping.wraps() {
-            if y < 0 || y >= h {
-                x += w / 2;
-                y = y.clamp(0, h - 1);
-            }
-            x = x.rem_euclid(w);
-        }
-        let inside = x >= 0 && x < w && y >= 0 && y < h;
-        (inside && self.usable[(x as usize, y as usize)]).then_some((y * w + x) as usize)
+        let (x, y) = self.mapping.continued(inside, x, y);
+        let within = x >= 0 && x < w && y >= 0 && y < h;
+        (within && self.usable[(x as usize, y as usize)]).then_some((y * w + x) as usize)
     }
 
     /// The texel that the taps add up to.
@@ -224,7 +285,7 @@ impl<'a, M: Mapping + ?Sized> Gatherer<'a, M> {
             validity: Validity::Filled,
             coverage: (taps.seen / asked) as f32,
         };
-        if taps.seen <= 0.0 {
+        if taps.seen <= 0.0 || asked <= 0.0 {
             texel.coverage = 0.0;
             return texel;
         }
@@ -240,7 +301,7 @@ impl<'a, M: Mapping + ?Sized> Gatherer<'a, M> {
     }
 
     /// A pixel's radiance, cut off at the lamp level with its colour kept.
-    fn below_lamp(&self, l: Rgb) -> Rgb {
+    pub(super) fn below_lamp(&self, l: Rgb) -> Rgb {
         let y = luminance(l);
         if y > self.lamp_level { l * (self.lamp_level / y) } else { l }
     }
@@ -311,67 +372,12 @@ fn median_luminance(source: &Radiance, usable: &Image<bool>) -> f32 {
     *values.select_nth_unstable_by(middle, f32::total_cmp).1
 }
 
-/// Adds what lamps shine above the lamp level, each pixel's flux exactly.
-fn scatter_lamps<M: Mapping + ?Sized>(gatherer: &Gatherer<M>, panorama: &mut Panorama) {
-    let source = &gatherer.source.mean;
-    // Rows in parallel, summed in their order: the same bytes for any number of threads.
-    let deposits: Vec<Vec<(usize, DVec3)>> = (0..source.height())
-        .into_par_iter()
-        .map(|y| {
-            let mut row = Vec::new();
-            for x in 0..source.width() {
-                let l = source[(x, y)];
-                if gatherer.usable[(x, y)] && luminance(l) > gatherer.lamp_level {
-                    gatherer.scatter(x, y, l - gatherer.below_lamp(l), &mut row);
-                }
-            }
-            row
-        })
-        .collect();
-    for (index, flux) in deposits.into_iter().flatten() {
-        let (x, y) = (index % gatherer.width, index / gatherer.width);
-        let radiance = (flux / panorama.solid_angle(y)).as_vec3();
-        panorama.radiance[(x, y)] += radiance;
-    }
-}
-
-impl<M: Mapping + ?Sized> Gatherer<'_, M> {
-    /// Spreads one pixel's `excess` radiance over the texels under its tent.
-    fn scatter(&self, x: usize, y: usize, excess: Rgb, deposits: &mut Vec<(usize, DVec3)>) {
-        let centre = DVec2::new(x as f64, y as f64);
-        let Some(solid_angle) = self.mapping.solid_angle(centre) else { return };
-        let back = self.turn.transpose();
-        // Enough points that neighbours land less than half a texel apart.
-        let texel = 2.0 * std::f64::consts::PI / self.width as f64;
-        let side = ((4.0 * solid_angle.sqrt() / texel).ceil() as usize).clamp(4, 64);
-        let mut landed: Vec<(usize, f64)> = Vec::new();
-        let mut total = 0.0;
-        for j in 0..side {
-            for i in 0..side {
-                let offset = DVec2::new(i as f64 + 0.5, j as f64 + 0.5) * (2.0 / side as f64) - 1.0;
-                let weight = (1.0 - offset.x.abs()) * (1.0 - offset.y.abs());
-                let Some(direction) = self.mapping.direction(centre + offset) else { continue };
-                let p = lat_long_pixel(back * direction, self.width, self.height());
-                let column = (p.x.round() as i64).rem_euclid(self.width as i64) as usize;
-                let row = (p.y.round() as i64).clamp(0, self.height() as i64 - 1) as usize;
-                total += weight;
-                let index = row * self.width + column;
-                match landed.iter_mut().rev().find(|(k, _)| *k == index) {
-                    Some((_, w)) => *w += weight,
-                    None => landed.push((index, weight)),
-                }
-            }
-        }
-        let flux = excess.as_dvec3() * solid_angle;
-        deposits.extend(landed.into_iter().map(|(index, w)| (index, flux * (w / total))));
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::probe::mapping::{Angular, LatLong};
-    use glam::DQuat;
+    use crate::conventions::{lat_long_direction, lat_long_solid_angle};
+    use crate::probe::mapping::Angular;
+    use glam::{DQuat, DVec3};
 
     fn exact(mean: Image<Rgb>) -> Radiance {
         let (w, h) = (mean.width(), mean.height());

@@ -13,7 +13,7 @@ use glam::{DMat3, DVec2, DVec3};
 use super::ProbeError;
 use super::ball::{Ball, Mirror};
 use super::fill;
-use super::mapping::Mapping;
+use super::mapping::{LatLong, Mapping};
 use super::panorama::Panorama;
 use super::resample::{Gatherer, to_lat_long};
 use super::rim::Rim;
@@ -60,7 +60,9 @@ pub fn unwrap_ball(
     // What is not seen: first the photograph itself, then the surroundings of the gap.
     let contact = |d: DVec3| view.plane.is_some_and(|p| p.darkened(d));
     let beside = Beside { view: &view };
-    let gatherer = Gatherer::new(radiance, &beside, camera_from_world, width);
+    let target = LatLong { width, height: width / 2 };
+    let size = (width, width / 2);
+    let gatherer = Gatherer::new(radiance, &beside, target, size, camera_from_world);
     let mut gap = Image::filled(width, width / 2, false);
     for y in 0..width / 2 {
         for x in 0..width {
@@ -114,7 +116,7 @@ fn divide_by_reflectance(panorama: &mut Panorama, ball: &Ball) {
 }
 
 /// The support in camera axes, relative to the ball's centre.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Debug)]
 struct Plane {
     normal: DVec3,
     /// Height of the ball's centre above it, metres, positive.
@@ -130,8 +132,9 @@ impl Plane {
 }
 
 /// What a camera sees in a ball: pixel ↔ direction from the ball's centre, camera axes.
-struct BallView<'a> {
-    lens: &'a Lens,
+#[derive(Clone, Debug)]
+pub struct BallView {
+    lens: Lens,
     mirror: Mirror,
     world_from_camera: DMat3,
     plane: Option<Plane>,
@@ -141,9 +144,13 @@ struct BallView<'a> {
     outside_rad: f64,
 }
 
-impl<'a> BallView<'a> {
-    fn new(
-        camera: &'a Camera,
+impl BallView {
+    /// The view of `camera` of the ball whose rim is `rim`; with `support`, its parallax is taken out.
+    ///
+    /// # Errors
+    /// A rim that is no cone in front of the camera, or a ball of less than ten pixels.
+    pub fn new(
+        camera: &Camera,
         rim: &Rim,
         ball: &Ball,
         support: Option<&Support>,
@@ -166,7 +173,7 @@ impl<'a> BallView<'a> {
             return Err(no_ball("it is smaller than ten pixels"));
         }
         let outside_rad = rim.half_angle_rad + margin;
-        let lens = &camera.lens;
+        let lens = camera.lens.clone();
         Ok(Self { lens, mirror, world_from_camera, plane, inside_rad, outside_rad })
     }
 
@@ -195,7 +202,7 @@ impl<'a> BallView<'a> {
     }
 }
 
-impl Mapping for BallView<'_> {
+impl Mapping for BallView {
     fn pixel(&self, direction: DVec3) -> Option<DVec2> {
         let ray = match self.on_support(direction) {
             Some(point) => self.mirror.ray_to_point(point)?,
@@ -217,7 +224,7 @@ impl Mapping for BallView<'_> {
 
 /// The photograph beside the ball: what is seen directly, as from the ball's centre.
 struct Beside<'a> {
-    view: &'a BallView<'a>,
+    view: &'a BallView,
 }
 
 impl Mapping for Beside<'_> {

@@ -20,6 +20,8 @@ use crate::light::clipped::{self, RecoverError, Stage};
 use crate::light::sky;
 use crate::light::{Disc, LightOptions, Lights, SunSplit, take_out};
 use crate::photo::{Image, ReadOptions};
+use crate::probe::axes::Axes;
+use crate::probe::cube::{CubeFaces, CubeLayout};
 use crate::probe::file::{self, Layout, rotation_xyz_deg};
 use crate::probe::find::{self, BallImage};
 use crate::probe::fisheye::{self, Projection};
@@ -208,10 +210,10 @@ fn unseen_warning(panorama: &Panorama) -> Option<Warning> {
 
 fn take_panorama(keys: &PanoramaKeys) -> Result<Unwrapped, String> {
     let layout = match keys.mapping {
-        PanoramaMapping::LatLong => Layout::LatLong,
+        PanoramaMapping::LatLong => Layout::LatLong(Axes::OpenExr),
         PanoramaMapping::Angular => Layout::Angular,
         PanoramaMapping::BallMap => Layout::BallMap,
-        PanoramaMapping::Cube => Layout::Cube,
+        PanoramaMapping::Cube => Layout::Cube(CubeLayout::Cross, CubeFaces::Inside),
     };
     let rotation = rotation_xyz_deg(keys.rotation);
     let read = file::read(&keys.file, layout, rotation, None, &ReadOptions::default())

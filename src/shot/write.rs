@@ -138,7 +138,7 @@ pub fn composite_exr(
         comments: Some(comments.to_string()),
         colour_id: (primaries == Primaries::Rec709).then_some(LINEAR_REC709),
         chromaticities: (primaries != Primaries::Rec709).then_some(primaries),
-        lat_long: false,
+        environment: None,
         world_to_camera: Some(world_to_camera(camera)),
         facts: Some(plate.facts.clone()),
     };

@@ -10,7 +10,7 @@ use exr::prelude::{
 use image::ExtendedColorType::{self, L8, La16, Rgb8, Rgb16, Rgb32F, Rgba8};
 use image::ImageEncoder;
 use image::codecs::{jpeg::JpegEncoder, png::PngEncoder, tiff::TiffEncoder};
-use platelight::photo::exr_file::{self, ExrAttributes, ExrPicture, ExrSamples};
+use platelight::photo::exr_file::{self, EnvironmentMap, ExrAttributes, ExrPicture, ExrSamples};
 
 type Seed = (&'static str, Vec<u8>);
 
@@ -59,7 +59,7 @@ fn exrs() -> Vec<Seed> {
     own.attributes = ExrAttributes {
         comments: Some("{}".into()),
         colour_id: Some(exr_file::LINEAR_REC709),
-        lat_long: true,
+        environment: Some(EnvironmentMap::LatLong),
         world_to_camera: Some([0.5; 16]),
         ..ExrAttributes::default()
     };

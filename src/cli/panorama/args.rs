@@ -8,6 +8,9 @@ use crate::bracket::exposure;
 use crate::cli::CliError;
 use crate::conventions::Rgb;
 use crate::photo::{ReadOptions, colour};
+use crate::probe::axes::Axes;
+use crate::probe::cube::{CubeFaces, CubeLayout};
+use crate::probe::layout::Layout;
 use crate::probe::unwrap::check_width;
 use crate::probe::{Ball, file};
 
@@ -177,12 +180,12 @@ impl<'a> Wishes<'a> {
     }
 }
 
-pub(super) fn layout(kind: &Kind) -> Option<file::Layout> {
+pub(super) fn layout(kind: &Kind) -> Option<Layout> {
     let layouts = [
-        (kind.angular, file::Layout::Angular),
-        (kind.ball_map, file::Layout::BallMap),
-        (kind.cube, file::Layout::Cube),
-        (kind.lat_long, file::Layout::LatLong),
+        (kind.angular, Layout::Angular),
+        (kind.ball_map, Layout::BallMap),
+        (kind.cube, Layout::Cube(CubeLayout::Cross, CubeFaces::Inside)),
+        (kind.lat_long, Layout::LatLong(Axes::OpenExr)),
     ];
     layouts.into_iter().find(|(chosen, _)| *chosen).map(|(_, layout)| layout)
 }
