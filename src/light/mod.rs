@@ -19,6 +19,7 @@ pub mod parts;
 mod patch;
 mod preetham;
 pub mod proxy;
+pub mod sibl;
 pub mod sky;
 pub mod sky_fit;
 #[cfg(test)]

@@ -3,6 +3,7 @@
 //! Everything above → files for eyes. Start with [`Report`]; [`Canvas`] draws over photographs.
 //! This room never computes a picture or a number it reports on, it only shows them.
 
+mod axes_card;
 mod canvas;
 pub mod chart;
 mod html;
@@ -10,6 +11,7 @@ mod lettering;
 pub mod overlay;
 mod text;
 
+pub use axes_card::axes_card;
 pub use canvas::Canvas;
 pub use html::{shot_name, write_html};
 pub use text::{length, per_cent, summary};
