@@ -1,6 +1,6 @@
 //! What can be asked of `panorama`, and its judgement before anything is read.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use glam::{DQuat, DVec3, Vec3};
 
@@ -9,12 +9,13 @@ use crate::cli::CliError;
 use crate::conventions::Rgb;
 use crate::photo::{ReadOptions, colour};
 use crate::probe::axes::Axes;
-use crate::probe::cube::{CubeFaces, CubeLayout};
-use crate::probe::layout::Layout;
+use crate::probe::cube::{CubeFaces, CubeLayout, FACE_NAMES};
+use crate::probe::layout::{self, Layout};
 use crate::probe::unwrap::check_width;
-use crate::probe::{Ball, file};
+use crate::probe::vignetting::Vignetting;
+use crate::probe::{Ball, ProbeError, file};
 
-/// Turn photographs of a mirror ball or fisheye, or any map of directions, into a lat-long panorama
+/// Turn photographs of a mirror ball or fisheye, or any map of directions, into a panorama
 ///
 /// Several photographs are a bracket and are merged first. A ball is found without help; look at
 /// --overlay, and give --hint where it is wrong. The panorama's axes are the camera's (it looked
@@ -31,21 +32,28 @@ Examples:
       -o pano.exr
   platelight panorama sky.exr --fisheye equidistant --fov 180 \\
       --rotation 90,0,0 -o pano.exr
-  platelight panorama grace_probe.hdr --angular -o grace.exr")]
+  platelight panorama sky_b*.jpg --lens --camera fisheye.json -o pano.exr
+  platelight panorama grace_probe.hdr --angular -o grace.exr
+  platelight panorama pano.exr --lat-long --to latlong:blender -o blender.hdr
+  platelight panorama pano.exr --lat-long --to cube-faces:opengl -o sky.exr
+  platelight panorama px.hdr nx.hdr py.hdr ny.hdr pz.hdr nz.hdr \\
+      --cube-faces=opengl -o pano.exr --axes axes.png")]
 pub struct Args {
     /// The photographs of one bracket, or one picture
     #[arg(required = true, value_name = "PHOTO")]
     pub(super) photos: Vec<PathBuf>,
-    /// The EXR to write
+    /// The EXR to write, or Radiance HDR if the name ends in .hdr: light alone, without layers
     #[arg(long, short, value_name = "FILE")]
     pub(super) out: PathBuf,
     #[command(flatten)]
     pub(super) kind: Kind,
+    #[command(flatten)]
+    pub(super) further: Further,
     /// The ball's centre and radius in pixels, if it is not found
     #[arg(long, value_name = "U,V,R", value_delimiter = ',', requires = "ball")]
     pub(super) hint: Option<Vec<f64>>,
-    /// The lens (and pose): camera.json, OpenCV's YAML or COLMAP's cameras.txt
-    #[arg(long, value_name = "FILE", conflicts_with = "focal_px", requires = "ball")]
+    /// The lens (and pose) of --ball or --lens: camera.json, OpenCV's YAML or COLMAP's cameras.txt
+    #[arg(long, value_name = "FILE", conflicts_with = "focal_px")]
     pub(super) camera: Option<PathBuf>,
     /// Focal length in pixels [default: the 35-mm equivalent of EXIF or of a merged EXR, right only for uncropped photographs]
     #[arg(long, value_name = "F", requires = "ball")]
@@ -75,6 +83,11 @@ pub struct Args {
     /// The fisheye's image circle in pixels [default: inscribed in the picture]
     #[arg(long, value_name = "U,V,R", value_delimiter = ',', requires = "fisheye")]
     pub(super) circle: Option<Vec<f64>>,
+    /// What the lens of --fisheye or --lens loses towards the rim, to be divided out: A,B,C of
+    /// 1 + A r² + B r⁴ + C r⁶ (r is 1 at the image circle, of --lens at half the diagonal), or a text file
+    /// with an angle off the axis in degrees and the share of light that arrives on each line
+    #[arg(long, value_name = "A,B,C|FILE", allow_hyphen_values = true)]
+    pub(super) vignetting: Option<String>,
     /// Turn the panorama about X, then Y, then Z, degrees
     #[arg(long, value_name = "X,Y,Z", value_delimiter = ',', allow_hyphen_values = true)]
     pub(super) rotation: Option<Vec<f64>>,
@@ -83,7 +96,7 @@ pub struct Args {
         long,
         value_delimiter = ',',
         value_name = "TIMES",
-        conflicts_with_all = ["angular", "ball_map", "cube", "lat_long"]
+        conflicts_with_all = ["angular", "ball_map", "cube", "lat_long", "from", "cube_faces"]
     )]
     pub(super) times: Option<Vec<String>>,
     /// Texels across; the height is half [default: as fine as the photograph; a lat-long keeps its own]
@@ -104,6 +117,36 @@ pub struct Args {
     pub(super) colour: String,
 }
 
+/// What is written beside the panorama, and how.
+#[derive(Debug, clap::Args)]
+pub(super) struct Further {
+    /// How the panorama is laid out: latlong[:AXES] (openexr = usd = mitsuba, blender = cycles = threejs,
+    /// debevec = hdrshop, pbrt-v3), angular, ball (= sphere), cube-cross, cube-vertical,
+    /// cube-strip[:opengl] (6 x 1), cube-column[:opengl] (1 x 6), cube-faces[:opengl] (six files, named
+    /// with _px _nx _py _ny _pz _nz), fisheye-equidistant[:DEGREES], -equisolid, -stereographic or
+    /// -orthographic; docs/conventions.md shows what is where
+    #[arg(long, value_name = "MAPPING", default_value = "latlong")]
+    pub(super) to: String,
+    /// Pixels of what --to writes: side of a face or a square, width of a lat-long [default: as fine as the
+    /// panorama]
+    #[arg(long, value_name = "N")]
+    pub(super) size: Option<usize>,
+    /// Also write the light on matt surfaces, for each normal: a lat-long EXR of 256 x 128, its unit the
+    /// panorama's times sr
+    #[arg(long, value_name = "EXR")]
+    pub(super) irradiance: Option<PathBuf>,
+    /// Also write a Smart IBL set into this folder: background, environment, reflection, icon and .ibl
+    #[arg(long, value_name = "DIR")]
+    pub(super) sibl: Option<PathBuf>,
+    /// Also write what --to writes as a PNG with its axes named on it, to check it in any program
+    #[arg(long, value_name = "PNG")]
+    pub(super) axes: Option<PathBuf>,
+    /// Two more layers in the EXR: quality.Y, pixels of the photograph per degree where it is coarsest,
+    /// and solid_angle.Y, sr of one of its pixels; 0 where it shows nothing
+    #[arg(long)]
+    pub(super) quality: bool,
+}
+
 /// What the photographs show.
 #[derive(Debug, clap::Args)]
 #[group(required = true, multiple = false)]
@@ -114,6 +157,9 @@ pub(super) struct Kind {
     /// A fisheye's picture
     #[arg(long, value_enum, value_name = "PROJECTION")]
     pub(super) fisheye: Option<FisheyeKind>,
+    /// A picture through the lens of --camera: any model, Kannala-Brandt fisheyes too
+    #[arg(long, requires = "camera")]
+    pub(super) lens: bool,
     /// Debevec's angular map (-Z in the middle)
     #[arg(long)]
     pub(super) angular: bool,
@@ -123,9 +169,22 @@ pub(super) struct Kind {
     /// A horizontal cube cross, 4 x 3 faces (-Z in the second)
     #[arg(long)]
     pub(super) cube: bool,
+    /// Six pictures, the faces +X -X +Y -Y +Z -Z of a cube, turned as OpenEXR (seen from inside) or OpenGL
+    /// does
+    #[arg(
+        long,
+        value_name = "openexr|opengl",
+        num_args = 0..=1,
+        require_equals = true,
+        default_missing_value = "openexr"
+    )]
+    pub(super) cube_faces: Option<String>,
     /// A lat-long
     #[arg(long)]
     pub(super) lat_long: bool,
+    /// A map of directions in any mapping that --to knows
+    #[arg(long, value_name = "MAPPING")]
+    pub(super) from: Option<String>,
 }
 
 #[derive(Clone, Copy, Debug, clap::ValueEnum)]
@@ -147,6 +206,55 @@ pub(super) struct Wishes<'a> {
     pub(super) times_s: Option<Vec<f64>>,
     /// `None`: not given.
     pub(super) reflectance: Option<Rgb>,
+    pub(super) vignetting: Option<Vignetting>,
+    pub(super) rotation_deg: [f64; 3],
+    pub(super) source: Source,
+    pub(super) target: Target,
+}
+
+/// What the pictures are.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Source {
+    /// Of a ball, through a fisheye or a lens: bracketed or not.
+    Photographs,
+    /// One picture of directions.
+    Map(Layout),
+    /// Six faces of a cube.
+    Faces(CubeFaces),
+}
+
+/// What is written.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Target {
+    One(Layout),
+    /// Six files.
+    Faces(CubeFaces),
+}
+
+impl Target {
+    fn named(text: &str) -> Result<Self, ProbeError> {
+        Ok(match text.split_once(':') {
+            None if text == "cube-faces" => Self::Faces(CubeFaces::Inside),
+            Some(("cube-faces", faces)) => Self::Faces(layout::cube_faces(faces)?),
+            _ => Self::One(Layout::named(text)?),
+        })
+    }
+
+    /// The picture that is made: six files are cut out of a strip.
+    pub(super) fn layout(self) -> Layout {
+        match self {
+            Self::One(layout) => layout,
+            Self::Faces(faces) => Layout::Cube(CubeLayout::Strip, faces),
+        }
+    }
+
+    /// The files that are written to `out`.
+    pub(super) fn files(self, out: &Path) -> Vec<PathBuf> {
+        let Self::Faces(_) = self else { return vec![out.to_owned()] };
+        let stem = out.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        let ending = out.extension().unwrap_or_default().to_string_lossy().into_owned();
+        FACE_NAMES.map(|face| out.with_file_name(format!("{stem}_{face}.{ending}"))).into()
+    }
 }
 
 impl<'a> Wishes<'a> {
@@ -167,8 +275,21 @@ impl<'a> Wishes<'a> {
             // Where it stands is not known yet; radius and reflectance are judged alike anywhere.
             Ball::new(DVec3::ZERO, args.radius, reflectance.unwrap_or(Rgb::ONE))?;
         }
+        let kind = &args.kind;
+        if args.camera.is_some() && !(kind.ball || kind.lens) {
+            return Err(CliError::wrong("--camera: is for --ball and --lens; leave it out"));
+        }
+        if args.vignetting.is_some() && !(kind.fisheye.is_some() || kind.lens) {
+            return Err(CliError::wrong("--vignetting: is for --fisheye and --lens; leave it out"));
+        }
+        let target = Target::named(&args.further.to)
+            .map_err(|error| CliError::wrong(format!("--to: {error}")))?;
         Ok(Self {
             args,
+            rotation_deg: rotation,
+            source: source(kind)?,
+            target,
+            vignetting: args.vignetting.as_deref().map(vignetting).transpose()?,
             read: ReadOptions { colour: colour::named(&args.colour)?, ..ReadOptions::default() },
             rotation: file::rotation_xyz_deg(rotation),
             hint: triple("--hint", args.hint.as_deref())?,
@@ -180,14 +301,38 @@ impl<'a> Wishes<'a> {
     }
 }
 
-pub(super) fn layout(kind: &Kind) -> Option<Layout> {
-    let layouts = [
+fn source(kind: &Kind) -> Result<Source, CliError> {
+    let wrong = |option: &str, error: ProbeError| CliError::wrong(format!("{option}: {error}"));
+    if let Some(faces) = &kind.cube_faces {
+        let faces = layout::cube_faces(faces).map_err(|error| wrong("--cube-faces", error))?;
+        return Ok(Source::Faces(faces));
+    }
+    if let Some(name) = &kind.from {
+        return Ok(Source::Map(Layout::named(name).map_err(|error| wrong("--from", error))?));
+    }
+    let maps = [
         (kind.angular, Layout::Angular),
         (kind.ball_map, Layout::BallMap),
         (kind.cube, Layout::Cube(CubeLayout::Cross, CubeFaces::Inside)),
         (kind.lat_long, Layout::LatLong(Axes::OpenExr)),
     ];
-    layouts.into_iter().find(|(chosen, _)| *chosen).map(|(_, layout)| layout)
+    let map = maps.into_iter().find(|(chosen, _)| *chosen);
+    Ok(map.map_or(Source::Photographs, |(_, layout)| Source::Map(layout)))
+}
+
+/// Three coefficients, or the table of a file.
+fn vignetting(text: &str) -> Result<Vignetting, CliError> {
+    let numbers: Result<Vec<f64>, _> = text.split(',').map(|v| v.trim().parse()).collect();
+    let found = match numbers.as_deref() {
+        Ok(&[a, b, c]) => Vignetting::polynomial([a, b, c]),
+        Ok(_) => {
+            return Err(CliError::wrong(format!(
+                "--vignetting {text}: give three numbers A,B,C, or a file"
+            )));
+        }
+        Err(_) => Vignetting::read(Path::new(text)),
+    };
+    found.map_err(|error| CliError::wrong(format!("--vignetting: {error}")))
 }
 
 /// The place and scale of a cut-out.

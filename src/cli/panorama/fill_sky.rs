@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-use super::CliError;
+use crate::cli::CliError;
 use crate::light::sky::DEFAULT_GROUND;
 use crate::light::sky_fit::{self, LARGEST_RESIDUAL, SkyFit};
 use crate::light::sun_position::SunPosition;

@@ -1,71 +1,100 @@
-//! `platelight panorama`: photographs of a light probe → lat-long panorama.
+//! `platelight panorama`: photographs of a light probe, or a map of directions → panorama.
 //!
-//! [`args`] (what can be asked) → [`photographed`] or a map's file → panorama → [`summary`].
+//! [`args`] (what can be asked) → [`photographed`] → panorama → [`written`] (in which layout, and what
+//! beside it) → [`summary`].
 
 mod args;
 mod fill_sky;
 mod photographed;
 mod summary;
+mod written;
 
-use std::path::Path;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 pub use self::args::Args;
-use self::args::{Wishes, layout};
+use self::args::{Source, Wishes};
 use self::fill_sky::fill_sky;
-use self::photographed::{Photographed, photographed};
+use self::photographed::{mapped, photographed};
 use self::summary::{summary, text};
+use self::written::{ending, write};
 use super::outputs::{check_ending, check_outputs, write_png};
 use super::{CliError, Global, Outcome};
+use crate::photo::atomic;
 use crate::photo::tone::{self, ToneCurve};
+use crate::probe::cube::CubeLayout;
 use crate::probe::file;
+use crate::probe::layout::Layout;
 
 pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
-    let beside = args.camera.iter().chain(&args.clean_plate);
-    let inputs: Vec<&Path> = args.photos.iter().chain(beside).map(PathBuf::as_path).collect();
-    let further = [&args.preview, &args.overlay].into_iter().flatten();
-    let outputs: Vec<&Path> =
-        [&args.out].into_iter().chain(further).map(PathBuf::as_path).collect();
-    check_outputs(&inputs, &outputs)?;
-    check_ending(&args.out, "exr")?;
-    for png in [&args.preview, &args.overlay].into_iter().flatten() {
-        check_ending(png, "png")?;
-    }
-    if args.overlay.is_some() && !args.kind.ball {
-        return Err(CliError::wrong("--overlay draws a ball's rim; only --ball has one"));
-    }
     let wishes = Wishes::judge(args)?;
+    check_files(&wishes)?;
     let mut warnings = Vec::new();
-    let Photographed { panorama, ball: found, overlay } = match layout(&args.kind) {
-        Some(layout) => {
-            let [path] = args.photos.as_slice() else {
-                return Err(CliError::wrong("a map of directions is one picture, not a bracket"));
-            };
-            let read = file::read(path, layout, wishes.rotation, args.width, &wishes.read)?;
-            warnings.extend(read.remarks);
-            warnings.extend(read.negative.map(|n| format!("{}: {n}", path.display())));
-            Photographed { panorama: read.panorama, ball: None, overlay: None }
+    let mut found = match wishes.source {
+        Source::Photographs => photographed(&wishes, &mut warnings, global)?,
+        Source::Map(layout) => mapped(&wishes, layout, &mut warnings)?,
+        Source::Faces(faces) => {
+            mapped(&wishes, Layout::Cube(CubeLayout::Strip, faces), &mut warnings)?
         }
-        None => photographed(&wishes, &mut warnings, global)?,
     };
-    let mut panorama = file::in_world_axes(&panorama).into_owned();
     let sky = match &args.fill_sky {
-        Some(sun) => Some(fill_sky(&mut panorama, sun, &mut warnings)?),
+        Some(sun) => {
+            found.panorama = file::in_world_axes(&found.panorama).into_owned();
+            Some(fill_sky(&mut found.panorama, sun, &mut warnings)?)
+        }
         None => None,
     };
     global.go_on()?;
-    file::write(&args.out, &panorama)?;
-    if let (Some(path), Some(drawn)) = (&args.overlay, &overlay) {
+    let size = write(&wishes, &found)?;
+    let panorama = file::in_world_axes(&found.panorama);
+    global.go_on()?;
+    if let (Some(path), Some(drawn)) = (&args.overlay, &found.overlay) {
         write_png(path, drawn)?;
     }
     if let Some(path) = &args.preview {
         let shown = tone::automatic_stops(&panorama.radiance);
         write_png(path, &tone::display(&panorama.radiance, shown, ToneCurve::REINHARD))?;
     }
-    let summary = summary(args, &panorama, found.as_ref(), sky, warnings);
+    written::beside(&wishes, &panorama)?;
+    let summary = summary(&wishes, &panorama, size, found.ball.as_ref(), sky, warnings);
     for warning in &summary.warnings {
         global.warn(warning);
     }
     global.print(&summary, || text(&summary));
     Ok(Outcome::Done)
+}
+
+/// Whether everything that is asked for can be written.
+fn check_files(wishes: &Wishes) -> Result<(), CliError> {
+    let (args, further) = (wishes.args, &wishes.args.further);
+    let beside = args.camera.iter().chain(&args.clean_plate);
+    let inputs: Vec<&Path> = args.photos.iter().chain(beside).map(PathBuf::as_path).collect();
+    let pictures = [&args.preview, &args.overlay, &further.axes].into_iter().flatten();
+    let sibl = further.sibl.as_deref().map(written::sibl_files).transpose()?;
+    let mut outputs = wishes.target.files(&args.out);
+    outputs.extend(pictures.clone().chain(&further.irradiance).cloned());
+    if let Some(folder) = &further.sibl {
+        atomic::check_folder(folder).map_err(|cause| {
+            CliError::wrong(format!(
+                "{}: nothing can be written there: {cause}; name another folder",
+                folder.display()
+            ))
+        })?;
+    }
+    if let Some(files) =
+        sibl.filter(|_| further.sibl.as_ref().is_some_and(|folder| folder.is_dir()))
+    {
+        outputs.extend(files.all().map(Path::to_path_buf));
+    }
+    check_outputs(&inputs, &outputs.iter().map(PathBuf::as_path).collect::<Vec<_>>())?;
+    ending(&args.out)?;
+    for png in pictures {
+        check_ending(png, "png")?;
+    }
+    if let Some(exr) = &further.irradiance {
+        check_ending(exr, "exr")?;
+    }
+    if args.overlay.is_some() && !args.kind.ball {
+        return Err(CliError::wrong("--overlay draws a ball's rim; only --ball has one"));
+    }
+    Ok(())
 }

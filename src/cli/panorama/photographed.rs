@@ -1,26 +1,45 @@
-//! Photographs of a ball or through a fisheye → panorama: merge, find, unwrap.
+//! Photographs of a ball or through a lens, and maps of directions → panorama.
 
-use super::args::{FisheyeKind, Wishes};
+use std::path::PathBuf;
+
+use glam::{DMat3, DQuat};
+
+use super::args::{FisheyeKind, Source, Wishes};
 use crate::bracket::{self, Frame, MergeOptions, Radiance, exposure};
 use crate::camera::lens::focal_px_from_35mm;
-use crate::camera::{self, Camera, Lens, Pose};
+use crate::camera::{Camera, Lens, Pose};
 use crate::cli::{CliError, Global};
 use crate::conventions::Rgb;
 use crate::photo::{self, Format, Image, Photo};
+use crate::probe::axes::Axes;
 use crate::probe::find::{BallImage, Hints, find};
 use crate::probe::fisheye::{Fisheye, Projection};
+use crate::probe::layout::Layout;
+use crate::probe::lens_picture::LensPicture;
+use crate::probe::mapping::Mapping;
 use crate::probe::overlay::overlay;
-use crate::probe::{Ball, Doubt, Panorama, photographed};
+use crate::probe::unwrap::{BallView, natural_width};
+use crate::probe::{Ball, Doubt, Panorama, file, photographed};
 
-/// A ball or fisheye unwrapped.
+/// A panorama, and how its pictures showed it.
 pub(super) struct Photographed {
     pub(super) panorama: Panorama,
     pub(super) ball: Option<BallImage>,
     /// The photograph with the rim, if it is wanted.
     pub(super) overlay: Option<Image<Rgb>>,
+    pub(super) seen: Seen,
+    /// What a value of 1 means.
+    pub(super) unit: String,
 }
 
-/// Ball or fisheye: merge, find, unwrap.
+/// Which direction each pixel of a picture showed.
+pub(super) struct Seen {
+    pub(super) mapping: Box<dyn Mapping>,
+    pub(super) size: (usize, usize),
+    pub(super) mapping_from_world: DMat3,
+}
+
+/// Ball, fisheye or lens: merge, find, unwrap.
 pub(super) fn photographed(
     wishes: &Wishes,
     warnings: &mut Vec<String>,
@@ -31,15 +50,60 @@ pub(super) fn photographed(
         args.photos.iter().map(|path| photo::read(path, &wishes.read)).collect::<Result<_, _>>()?;
     warnings.extend(photos.iter().flat_map(Photo::named_remarks));
     global.go_on()?;
-    let radiance = radiance(wishes, &photos, warnings)?;
+    let (radiance, unit) = radiance(wishes, &photos, warnings)?;
     global.go_on()?;
-    let (w, h) = (radiance.mean.width(), radiance.mean.height());
-    if let Some(kind) = args.kind.fisheye {
-        let lens = fisheye(wishes, kind, w, h)?;
-        let panorama = photographed::fisheye(&radiance, &lens, wishes.rotation, args.width)?;
-        return Ok(Photographed { panorama, ball: None, overlay: None });
+    if args.kind.ball {
+        return ball(wishes, &photos[0], &radiance, unit, warnings);
     }
-    let camera = ball_camera(wishes, &photos[0], w, h)?;
+    through_a_lens(wishes, &photos[0], radiance, unit)
+}
+
+fn through_a_lens(
+    wishes: &Wishes,
+    photo: &Photo,
+    mut radiance: Radiance,
+    unit: String,
+) -> Result<Photographed, CliError> {
+    let args = wishes.args;
+    let size = (radiance.mean.width(), radiance.mean.height());
+    let (mapping, world_from_lens, width): (Box<dyn Mapping>, _, _) = match args.kind.fisheye {
+        Some(kind) => {
+            let lens = fisheye(wishes, kind, size.0, size.1)?;
+            if let Some(vignetting) = &wishes.vignetting {
+                vignetting.divide_out(&mut radiance, |pixel| lens.off_axis(pixel))?;
+            }
+            let width = natural_width(lens.radius_px());
+            (Box::new(lens), wishes.rotation, width)
+        }
+        None => {
+            let camera = camera(wishes, photo, size.0, size.1)?;
+            let lens = LensPicture::new(camera.lens, size.0, size.1)?;
+            if let Some(vignetting) = &wishes.vignetting {
+                vignetting.divide_out(&mut radiance, |pixel| lens.off_axis(pixel))?;
+            }
+            // A quarter turn of a ball or circle is its radius; here it is that many pixels.
+            let width = natural_width(2.0 / lens.pixel_rad());
+            let world_from_camera = DQuat::from_mat3(&camera.pose.rotation());
+            (Box::new(lens), wishes.rotation * world_from_camera, width)
+        }
+    };
+    let width = args.width.unwrap_or(width);
+    let panorama = photographed::through(&radiance, &*mapping, world_from_lens, width)?;
+    let mapping_from_world = DMat3::from_quat(world_from_lens.conjugate());
+    let seen = Seen { mapping, size, mapping_from_world };
+    Ok(Photographed { panorama, ball: None, overlay: None, seen, unit })
+}
+
+fn ball(
+    wishes: &Wishes,
+    photo: &Photo,
+    radiance: &Radiance,
+    unit: String,
+    warnings: &mut Vec<String>,
+) -> Result<Photographed, CliError> {
+    let args = wishes.args;
+    let size = (radiance.mean.width(), radiance.mean.height());
+    let camera = camera(wishes, photo, size.0, size.1)?;
     let plate = match &args.clean_plate {
         Some(path) => Some(photo::read(path, &wishes.read)?.linear),
         None => None,
@@ -48,7 +112,7 @@ pub(super) fn photographed(
     let found = find(&radiance.mean, &camera.lens, &hints)?;
     let reflectance = wishes.reflectance.unwrap_or(Rgb::ONE);
     let ball = Ball::new(found.centre_of(args.radius, &camera), args.radius, reflectance)?;
-    let panorama = photographed::ball(&radiance, &camera, &found, &ball, None, args.width)?;
+    let panorama = photographed::ball(radiance, &camera, &found, &ball, None, args.width)?;
     warnings.extend(Doubt::about(&found).into_iter().map(|doubt| doubt.sentence("--hint")));
     let wants_overlay = args.overlay.is_some();
     let drawn = wants_overlay.then(|| overlay(&radiance.mean, &camera.lens, &found, 800));
@@ -59,16 +123,67 @@ pub(super) fn photographed(
                 .into(),
         );
     }
+    let seen = Seen {
+        mapping: Box::new(BallView::new(&camera, &found.rim, &ball, None)?),
+        size,
+        mapping_from_world: camera.pose.rotation().transpose()
+            * DMat3::from_quat(wishes.rotation.conjugate()),
+    };
     let panorama = panorama.rotated(wishes.rotation);
-    Ok(Photographed { panorama, ball: Some(found), overlay: drawn })
+    Ok(Photographed { panorama, ball: Some(found), overlay: drawn, seen, unit })
 }
 
-/// The photographs as radiance: an EXR or HDR as it is, a bracket or a single photograph merged.
+/// One picture of directions, or the six faces of a cube.
+pub(super) fn mapped(
+    wishes: &Wishes,
+    layout: Layout,
+    warnings: &mut Vec<String>,
+) -> Result<Photographed, CliError> {
+    let args = wishes.args;
+    let (read, size, warned) = match (wishes.source, args.photos.as_slice()) {
+        (Source::Faces(faces), [px, nx, py, ny, pz, nz]) => {
+            let face = |path: &PathBuf| photo::read(path, &wishes.read);
+            let photos = [face(px)?, face(nx)?, face(py)?, face(ny)?, face(pz)?, face(nz)?];
+            let size = (6 * photos[0].linear.width(), photos[0].linear.height());
+            let read = file::from_faces(&photos, faces, wishes.rotation, args.width)?;
+            (read, size, "the faces")
+        }
+        (Source::Faces(_), _) => {
+            return Err(CliError::wrong(
+                "--cube-faces: give six pictures in the order +X -X +Y -Y +Z -Z",
+            ));
+        }
+        (_, [path]) => {
+            let photo = photo::read(path, &wishes.read)?;
+            let size = (photo.linear.width(), photo.linear.height());
+            let read = file::from_photo(&photo, layout, wishes.rotation, args.width)?;
+            (read, size, "the map")
+        }
+        _ => return Err(CliError::wrong("a map of directions is one picture, not a bracket")),
+    };
+    warnings.extend(read.remarks);
+    warnings.extend(read.negative.map(|negative| match args.photos.as_slice() {
+        [path] => format!("{}: {negative}", path.display()),
+        _ => format!("{warned}: {negative}"),
+    }));
+    let mapping = layout.mapping(size).ok_or_else(|| CliError::wrong("no shape of a map"))?;
+    let picture_from_world = layout.axes().map_or(DMat3::IDENTITY, Axes::picture_from_world);
+    let mapping_from_world = picture_from_world * DMat3::from_quat(wishes.rotation.conjugate());
+    Ok(Photographed {
+        panorama: read.panorama,
+        ball: None,
+        overlay: None,
+        seen: Seen { mapping, size, mapping_from_world },
+        unit: "the value of the file that was read".into(),
+    })
+}
+
+/// The photographs as radiance, and its unit: an EXR or HDR as it is, a bracket or a single photograph merged.
 fn radiance(
     wishes: &Wishes,
     photos: &[Photo],
     warnings: &mut Vec<String>,
-) -> Result<Radiance, CliError> {
+) -> Result<(Radiance, String), CliError> {
     if let [only] = photos
         && matches!(only.format, Format::Exr | Format::RadianceHdr)
     {
@@ -78,7 +193,8 @@ fn radiance(
                 only.path.display()
             )));
         }
-        return Ok(bracket::file::from_picture(only)?);
+        let unit = "the value of the file that was read";
+        return Ok((bracket::file::from_picture(only)?, unit.into()));
     }
     let exposures = match &wishes.times_s {
         Some(times) => exposure::from_times(photos, times)?,
@@ -91,7 +207,16 @@ fn radiance(
     let merged = bracket::merge(&frames, &MergeOptions::default())?;
     let asking = merged.warnings.iter().filter(|warning| warning.asks());
     warnings.extend(asking.map(ToString::to_string));
-    Ok(merged.radiance)
+    let unit = match (&wishes.times_s, photos) {
+        (None, [only]) if exposure::exposure(&only.facts).is_none() => {
+            "the linear value of the photograph"
+        }
+        _ => {
+            "linear value of the photographs / exposure, t (ISO / 100) / N^2 with t in s; where EXIF has no \
+              ISO and N, as if 100 and 1"
+        }
+    };
+    Ok((merged.radiance, unit.into()))
 }
 
 fn fisheye(wishes: &Wishes, kind: FisheyeKind, w: usize, h: usize) -> Result<Fisheye, CliError> {
@@ -105,11 +230,11 @@ fn fisheye(wishes: &Wishes, kind: FisheyeKind, w: usize, h: usize) -> Result<Fis
     Ok(Fisheye::new(projection, fov, wishes.circle, [w, h])?)
 }
 
-/// The camera of the ball's photographs: a file, a focal length, or EXIF.
-fn ball_camera(wishes: &Wishes, photo: &Photo, w: usize, h: usize) -> Result<Camera, CliError> {
+/// The camera of the photographs: a file, a focal length, or EXIF.
+fn camera(wishes: &Wishes, photo: &Photo, w: usize, h: usize) -> Result<Camera, CliError> {
     let args = wishes.args;
     if let Some(path) = &args.camera {
-        let camera = camera::file::read(path)?.camera;
+        let camera = crate::camera::file::read(path)?.camera;
         if let Some([x, y, scale]) = wishes.crop {
             if !camera.holds_cut_out(x, y, scale, w, h) {
                 let [wide, high] = [camera.width, camera.height].map(|size| size as f64 * scale);

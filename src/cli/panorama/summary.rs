@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use glam::DVec3;
 use serde::Serialize;
 
-use super::Args;
+use super::args::Wishes;
 use super::fill_sky::SkySummary;
 use crate::bracket::Validity;
 use crate::conventions::luminance;
@@ -16,7 +16,9 @@ use crate::probe::{Panorama, clipped_regions};
 /// What came out, for people and machines.
 #[derive(Serialize)]
 pub(super) struct Summary {
+    /// The first of six where each face is a file.
     pub(super) out: PathBuf,
+    pub(super) mapping: String,
     pub(super) width: usize,
     pub(super) height: usize,
     pub(super) ball: Option<BallSummary>,
@@ -50,8 +52,9 @@ pub(super) struct ClippedSummary {
 }
 
 pub(super) fn summary(
-    args: &Args,
+    wishes: &Wishes,
     panorama: &Panorama,
+    (width, height): (usize, usize),
     found: Option<&BallImage>,
     sky: Option<SkySummary>,
     mut warnings: Vec<String>,
@@ -69,9 +72,10 @@ pub(super) fn summary(
         }
     }
     Summary {
-        out: args.out.clone(),
-        width: panorama.width(),
-        height: panorama.height(),
+        out: wishes.target.files(&wishes.args.out).swap_remove(0),
+        mapping: wishes.args.further.to.clone(),
+        width,
+        height,
         ball: found.map(|b| BallSummary {
             centre_px: b.centre_px.to_array(),
             radius_px: b.radius_px,
@@ -98,7 +102,11 @@ pub(super) fn summary(
 
 pub(super) fn text(summary: &Summary) -> String {
     let (w, h) = (summary.width, summary.height);
-    let mut lines = vec![format!("{}: {w} × {h} texels", summary.out.display())];
+    let mapping = match summary.mapping.as_str() {
+        "latlong" => String::new(),
+        other => format!(", {other}"),
+    };
+    let mut lines = vec![format!("{}: {w} × {h} texels{mapping}", summary.out.display())];
     if let Some(b) = &summary.ball {
         lines.push(format!(
             "  ball at ({:.1}, {:.1}) px, radius {:.1} px, ± {:.2} px: directions ± {:.2}°",
