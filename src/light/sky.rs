@@ -85,8 +85,8 @@ pub struct Sky {
     turbidity: f64,
     ground: Rgb,
     preetham: Preetham,
-    /// Our radiance for the model's kcd/m².
-    scale: f64,
+    /// Our radiance for the model's kcd/m², per channel.
+    scale: DVec3,
     /// Irradiance of level ground by the sky.
     sky_irradiance: DVec3,
     /// Irradiance of a surface facing the sun.
@@ -136,7 +136,7 @@ impl Sky {
             turbidity,
             ground,
             preetham,
-            scale,
+            scale: DVec3::splat(scale),
             sky_irradiance: shape * scale,
             sun_irradiance: strength.sun,
         })
@@ -176,10 +176,14 @@ impl Sky {
         self
     }
 
-    /// The same light in the unit in which the model's 1 kcd/m² are this radiance.
-    pub(super) fn with_luminance_scale(self, scale: f64) -> Self {
-        let factor = scale / self.scale;
-        self.scaled(factor)
+    /// The same light in the unit in which the model's 1 kcd/m² are this radiance; `of_channels` is the
+    /// same for the sky's red, green and blue, where that is seen to have another colour.
+    pub(super) fn with_scale(self, scale: f64, of_channels: DVec3) -> Self {
+        let factor = scale / self.scale.y;
+        let mut sky = self.scaled(factor);
+        sky.sky_irradiance *= of_channels / sky.scale;
+        sky.scale = of_channels;
+        sky
     }
 
     /// Radiance from a direction (unit, world), without the sun's disc.
