@@ -119,7 +119,7 @@ fn what_cannot_be_is_refused_with_its_remedy_and_nothing_is_written() {
     let out = folder.path().join("sky.exr");
     let said = |more: &[&str]| {
         let arguments: Vec<&str> =
-            ["sky", "--width", "64", "--out", text(&out)].iter().chain(more).copied().collect();
+            ["sky", "--out", text(&out)].iter().chain(more).copied().collect();
         let output = platelight(&arguments);
         assert_eq!(output.status.code(), Some(2), "{more:?}");
         assert!(!out.exists(), "{more:?}");
@@ -140,6 +140,7 @@ fn what_cannot_be_is_refused_with_its_remedy_and_nothing_is_written() {
     assert!(sun(&["--sun-irradiance", "0"]).contains("--sun-irradiance"));
     assert!(sun(&["--sky-irradiance", "nan"]).contains("--sky-irradiance"));
     assert!(sun(&["--north", "inf"]).contains("--north"));
+    assert!(sun(&["--width", "32768"]).contains("--width: 32768"));
     assert!(said(&["--sun", "180"]).contains("--sun: [180.0] is no azimuth and elevation"));
     assert!(said(&["--sun", "180,-3"]).contains("3.0° below"));
     assert!(said(&["--place", "91,0", "--time", "2026-06-21T12:00Z"]).contains("--place: 91, 0"));
@@ -184,7 +185,11 @@ fn a_shot_is_lit_by_a_calculated_sky() {
     assert!((level / (0.5 * std::f64::consts::PI) - 1.0).abs() < 2e-3, "{level}");
     assert!(report["probe"]["source"].as_str().unwrap().starts_with("clear sky of turbidity 3"));
     let notes = report["notes"].to_string();
-    assert!(notes.contains("it must point to 90.0°") && notes.contains("25 %"), "{notes}");
+    assert!(
+        notes.contains("it must point to 90.0°, in the world along x +0.71, z")
+            && notes.contains("25 %"),
+        "{notes}"
+    );
     assert!(report["budget"].to_string().contains("calculated sun"));
     assert!(out.join("panorama.exr").is_file());
 

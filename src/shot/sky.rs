@@ -83,11 +83,13 @@ impl SkyKeys {
         sky.with_strength(&Strength { sky: self.sky_irradiance, sun })
     }
 
-    /// "clear sky of turbidity 3, sun at azimuth 139.2°, elevation 62.1°".
+    /// "clear sky of turbidity 3, sun 139.2° clockwise from true north, 62.1° high": not "azimuth", which
+    /// beside it is a light's in the world's axes.
     pub(super) fn sentence(&self) -> String {
         let SunPosition { azimuth_deg, elevation_deg } = self.sun;
         format!(
-            "clear sky of turbidity {}, sun at azimuth {azimuth_deg:.1}°, elevation {elevation_deg:.1}°",
+            "clear sky of turbidity {}, sun {azimuth_deg:.1}° clockwise from true north, \
+             {elevation_deg:.1}° high",
             self.turbidity
         )
     }
@@ -96,12 +98,14 @@ impl SkyKeys {
     pub(super) fn notes(&self) -> [Warning; 2] {
         let SunPosition { azimuth_deg, elevation_deg } = self.sun;
         let shadows = (azimuth_deg + 180.0).rem_euclid(360.0);
+        let [x, _, z] = (-self.sun.direction(self.north_deg)).to_array();
         [
             Warning::note(
                 "probe.sky",
                 format!(
-                    "the sun is calculated to stand at azimuth {azimuth_deg:.1}° from true north, elevation \
-                     {elevation_deg:.1}°; compare a shadow in the plate: it must point to {shadows:.1}°"
+                    "the sun is calculated to stand {azimuth_deg:.1}° clockwise from true north, \
+                     {elevation_deg:.1}° high; compare a shadow in the plate: it must point to {shadows:.1}°, in the \
+                     world along x {x:+.2}, z {z:+.2}"
                 ),
                 "an hour of summer time forgotten turns shadows by about 15°",
             ),
