@@ -144,6 +144,13 @@ struct FrameSummary {
 pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
     check_names(args)?;
     check_width(args.width)?;
+    if args.width > MOST_TEXELS {
+        return Err(CliError::wrong(format!(
+            "--width: {} texels across take tens of gigabytes; at most {MOST_TEXELS} show the sun's disc 24 texels \
+             across",
+            args.width
+        )));
+    }
     if !args.north.is_finite() {
         return Err(CliError::wrong(format!("--north: {} is no angle in degrees", args.north)));
     }
@@ -176,6 +183,9 @@ pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
     global.print(&summary, || text(&summary));
     Ok(Outcome::Done)
 }
+
+/// Of this width a map takes 13 GB while it is written (96 bytes a texel: 0.8 GB at 4096).
+const MOST_TEXELS: usize = 1 << 14;
 
 /// A sequence needs a number in its names, and only a sequence has one.
 fn check_names(args: &Args) -> Result<(), CliError> {

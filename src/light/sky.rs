@@ -2,8 +2,9 @@
 //!
 //! Shape and colour by Preetham et al. 1999 (`preetham.rs`), the strength of sun and sky by Bird and
 //! Riordan 1986 (`clear_sky.rs`), ground of one albedo below the horizon. No clouds, no haze over a
-//! town, no mountains: E_sun / E_sky is good to 20–30 % on a day that looks clear. The unit is chosen by
-//! [`Strength`], for a plate knows nothing of lux: at first a level white card has radiance 1.
+//! town, no mountains: E_sun / E_sky is good to 20–30 % on a day that looks clear (6.4 against 8.3 in a
+//! photographed panorama, Poly Haven's Rooitou Park, the sun at 10°). The unit is chosen by [`Strength`],
+//! for a plate knows nothing of lux: at first a level white card has radiance 1.
 
 use std::collections::BTreeMap;
 use std::f64::consts::PI;
@@ -238,7 +239,8 @@ impl Sky {
             })
         });
         let texels: Vec<Rgb> = rows.collect();
-        let radiance = Image::from_fn(width, height, |x, y| texels[y * width + x]);
+        // Each row made one for each of its places.
+        let radiance = Image::from_pixels(width, height, texels).expect("as many texels as places");
         Panorama {
             validity: Image::filled(width, height, Validity::Analytic),
             coverage: Image::filled(width, height, 0.0),
