@@ -154,7 +154,8 @@ enum Command {
     Calibrate(calibrate::Args),
     Locate(locate::Args),
     Merge(merge::Args),
-    Panorama(panorama::Args),
+    // In a box: it has twice as many options as the next.
+    Panorama(Box<panorama::Args>),
     Preview(preview::Args),
     Sky(sky::Args),
     Targets(targets::Args),
