@@ -86,6 +86,16 @@ pub(super) fn decode(
     })
 }
 
+/// The text of the file's `comments` attribute, if it has one.
+pub(super) fn comments(path: &Path, bytes: &[u8]) -> Result<Option<String>, PhotoError> {
+    guarded(path, FORMAT, || {
+        let reader = exr::block::read(Cursor::new(bytes), false)
+            .map_err(|e| PhotoError::damaged(path, FORMAT, e))?;
+        let text = |h: &Header| h.own_attributes.comments.as_ref().map(ToString::to_string);
+        Ok(reader.headers().iter().find_map(text))
+    })
+}
+
 /// The channels of a file that make up the wanted picture.
 struct Picture {
     part: usize,

@@ -357,13 +357,28 @@ struct Decoded {
 /// Anything unreadable, damaged, too large or of unknown colour, with file, cause and remedy.
 /// No content of a file panics or allocates much more than [`ReadOptions::max_bytes`].
 pub fn read(path: &Path, options: &ReadOptions) -> Result<Photo, PhotoError> {
-    let bytes = bytes::read(path, options.max_bytes).map_err(|error| match error {
+    read_bytes(path, &file_bytes(path, options)?, options)
+}
+
+fn file_bytes(path: &Path, options: &ReadOptions) -> Result<Vec<u8>, PhotoError> {
+    bytes::read(path, options.max_bytes).map_err(|error| match error {
         BytesError::Read(source) => PhotoError::Read { path: path.into(), source },
         BytesError::TooLarge { bytes, limit } => {
             PhotoError::TooLarge { path: path.into(), what: "the file".into(), bytes, limit }
         }
-    })?;
-    read_bytes(path, &bytes, options)
+    })
+}
+
+/// The text of an EXR file's `comments` attribute; `None` for other formats and files without it.
+///
+/// # Errors
+/// As [`read`].
+pub fn read_comments(path: &Path) -> Result<Option<String>, PhotoError> {
+    let bytes = file_bytes(path, &ReadOptions::default())?;
+    match bytes.as_slice() {
+        [0x76, 0x2f, 0x31, 0x01, ..] => exr_read::comments(path, &bytes),
+        _ => Ok(None),
+    }
 }
 
 /// Reads a layer of an EXR file; `None` if the file has none of that name.

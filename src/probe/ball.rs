@@ -208,6 +208,19 @@ impl Mirror {
         Some(theta.sin() / beta.sin() * theta_rate / beta_rate)
     }
 
+    /// Angle of camera rays per angle of directions shown, away from the axis: `dβ/dθ` at `direction` (unit).
+    ///
+    /// `½ α cos(θ/2)` for a far ball: half as many pixels to a degree at 120° as at the camera, none at the
+    /// rim. Zero in the blind cone.
+    pub fn ray_rate(&self, direction: DVec3) -> f64 {
+        let back = -self.axis();
+        let theta = direction.cross(back).length().atan2(direction.dot(back));
+        self.normal_angle(theta).map_or(0.0, |phi| {
+            let rate = self.ray_angle_rate(phi);
+            (rate / (2.0 + rate)).max(0.0)
+        })
+    }
+
     /// Angle of the pixel ray off the axis where the normal stands at `phi`.
     fn ray_angle(&self, phi: f64) -> f64 {
         (self.radius * phi.sin()).atan2(self.distance() - self.radius * phi.cos())
@@ -348,6 +361,28 @@ mod tests {
             let spread = mirror.spread(DVec3::new(beta.sin(), 0.0, -beta.cos())).unwrap();
             assert!((spread * 1e-12 - 4.0).abs() < 2e-5, "{s}: {}", spread * 1e-12);
         }
+    }
+
+    /// methods-capture C4: R = 500 px shows 4.4 px/° facing, 2.2 at 120°, 1.1 at 150°, 0.38 at 170°.
+    #[test]
+    fn radial_resolution_falls_towards_the_rim() {
+        let mirror = Mirror::new(DVec3::NEG_Z * 1e6, 1.0).unwrap();
+        for (theta_deg, expected) in [(0.0, 4.36), (120.0, 2.18), (150.0, 1.13), (170.0, 0.38)] {
+            let theta = f64::to_radians(theta_deg);
+            let shown = DVec3::new(theta.sin(), 0.0, theta.cos());
+            let px_per_deg = 500.0 * 1e6 * mirror.ray_rate(shown) * PI / 180.0;
+            assert!((px_per_deg - expected).abs() < 0.005, "{theta_deg}°: {px_per_deg}");
+        }
+        // It is the derivative of the mapping, at a near ball too.
+        let near = self::mirror(4.0);
+        let (e1, _) = near.axis().any_orthonormal_pair();
+        let shown = |theta: f64| -near.axis() * theta.cos() + e1 * theta.sin();
+        let beta = |theta: f64| near.ray_showing(shown(theta)).unwrap().angle_between(near.axis());
+        for theta in [0.3, 1.5, 2.5] {
+            let slope = (beta(theta + 1e-4) - beta(theta - 1e-4)) / 2e-4;
+            assert!((near.ray_rate(shown(theta)) / slope - 1.0).abs() < 1e-6, "{theta}");
+        }
+        assert_eq!(near.ray_rate(near.axis()), 0.0);
     }
 
     #[test]

@@ -19,14 +19,25 @@ use super::panorama::Panorama;
 use super::picture_file::{self, Origin};
 use super::resample::{Resampled, resample, to_lat_long};
 use super::unwrap::check_width;
+use super::view::Seeing;
 use crate::bracket::{self, Radiance, Validity};
 use crate::conventions::Rgb;
 use crate::photo::{self, Format, Image, Photo, PhotoError, ReadOptions};
 
 /// Writes a panorama, its texels in the world's axes: a turned one is resampled once.
 pub fn write(path: &Path, panorama: &Panorama) -> Result<(), PhotoError> {
+    write_seen(path, panorama, None)
+}
+
+/// [`write()`], and with it through what the panorama was seen, for merging.
+pub fn write_seen(
+    path: &Path,
+    panorama: &Panorama,
+    seeing: Option<&Seeing>,
+) -> Result<(), PhotoError> {
     let panorama = &*in_world_axes(panorama);
-    let origin = Origin { place_m: panorama.place, ..Origin::default() };
+    let seen_through = seeing.copied();
+    let origin = Origin { place_m: panorama.place, seen_through, ..Origin::default() };
     let pictured = Resampled { light: light(panorama), coverage: panorama.coverage.clone() };
     picture_file::write_exr(path, &pictured, Layout::LatLong(Axes::OpenExr), &origin)
 }

@@ -6,12 +6,14 @@
 use std::f64::consts::PI;
 
 use glam::{DVec2, DVec3};
+use serde::{Deserialize, Serialize};
 
 use super::ProbeError;
 use super::mapping::{Mapping, from_axis};
 
 /// How the distance from the middle grows with the angle θ off the axis.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Projection {
     /// r = f θ
     Equidistant,
@@ -44,7 +46,7 @@ impl Projection {
     }
 
     /// d(r/f)/dθ.
-    fn rate(self, theta: f64) -> f64 {
+    pub fn rate(self, theta: f64) -> f64 {
         match self {
             Self::Equidistant => 1.0,
             Self::Equisolid => (theta / 2.0).cos(),
@@ -114,6 +116,20 @@ impl Fisheye {
         }
         let focal_px = radius_px / projection.radius(edge_rad);
         Ok(Self { projection, focal_px, centre: DVec2::new(u, v), edge_rad })
+    }
+
+    pub fn projection(&self) -> Projection {
+        self.projection
+    }
+
+    /// Pixels per radian on the axis.
+    pub fn focal_px(&self) -> f64 {
+        self.focal_px
+    }
+
+    /// Largest angle off the axis that is used, radians.
+    pub fn edge_rad(&self) -> f64 {
+        self.edge_rad
     }
 
     /// Radius of the image circle.

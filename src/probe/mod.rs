@@ -3,7 +3,8 @@
 //! [`Radiance`](crate::bracket::Radiance) + [`Camera`](crate::camera::Camera) → [`Panorama`].
 //! A mirror ball goes through [`find`] (where is the ball?), [`rim`] (its tangent cone),
 //! [`ball`] (exact reflection at finite distance) and [`unwrap`]; fisheyes, angular maps and
-//! lat-long pictures are [`mapping::Mapping`]s; all of them meet in [`resample`].
+//! lat-long pictures are [`mapping::Mapping`]s; all of them meet in [`resample`]. Several of one place are
+//! turned into one set of axes by [`register`].
 //! Start with [`Panorama`] and [`photographed`]. This room never lights anything, never
 //! merges a bracket, and never takes the direction to a ball from anything but its rim.
 
@@ -11,6 +12,7 @@ pub mod axes;
 pub mod ball;
 pub mod circles;
 pub mod clipped;
+pub mod compact_lights;
 pub mod cube;
 pub mod doubt;
 pub mod edges;
@@ -29,18 +31,24 @@ pub mod picture_file;
 #[cfg(test)]
 mod projection_tests;
 pub mod quality;
+pub mod register;
 pub mod resample;
 pub mod rim;
 pub mod ring;
 pub mod scatter;
+#[cfg(test)]
+mod test_worlds;
 pub mod unwrap;
+pub mod view;
 pub mod vignetting;
 
 pub use self::ball::Ball;
 pub use self::clipped::{ClippedRegion, clipped_regions};
 pub use self::doubt::Doubt;
 pub use self::panorama::Panorama;
+pub use self::register::{RegisterError, Registration};
 pub use self::rim::Rim;
+pub use self::view::View;
 
 use std::path::PathBuf;
 

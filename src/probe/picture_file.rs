@@ -8,6 +8,7 @@ use super::axes::Axes;
 use super::cube::{CubeFaces, CubeLayout};
 use super::layout::Layout;
 use super::resample::Resampled;
+use super::view::Seeing;
 use crate::conventions::Rgb;
 use crate::photo::exr_file::{
     self, EnvironmentMap, ExrAttributes, ExrPicture, ExrSamples, LINEAR_REC709,
@@ -26,6 +27,8 @@ pub struct Origin {
     pub rotation_deg: Option<[f64; 3]>,
     /// Where the light was measured, world, metres.
     pub place_m: DVec3,
+    /// Through what it was seen, for merging it with others.
+    pub seen_through: Option<Seeing>,
 }
 
 /// A further layer of one channel.
@@ -147,6 +150,9 @@ fn comments(layout: Layout, origin: &Origin) -> String {
     }
     if let Some(rotation) = origin.rotation_deg {
         said["rotation_deg"] = rotation.to_vec().into();
+    }
+    if let Some(seeing) = &origin.seen_through {
+        said["seen_through"] = serde_json::json!(seeing);
     }
     said.to_string()
 }

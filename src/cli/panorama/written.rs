@@ -58,6 +58,7 @@ pub(super) fn write(wishes: &Wishes, found: &Photographed) -> Result<(usize, usi
         unit: Some(found.unit.clone()),
         rotation_deg: Some(wishes.rotation_deg),
         place_m: found.panorama.place,
+        seen_through: None,
     };
     let layers = match further.quality {
         true => quality_layers(found, layout, size),
