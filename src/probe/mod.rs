@@ -4,7 +4,7 @@
 //! A mirror ball goes through [`find`] (where is the ball?), [`rim`] (its tangent cone),
 //! [`ball`] (exact reflection at finite distance) and [`unwrap`]; fisheyes, angular maps and
 //! lat-long pictures are [`mapping::Mapping`]s; all of them meet in [`resample`]. Several of one place are
-//! turned into one set of axes by [`register`].
+//! turned into one set of axes by [`register`] and merged by [`combine`].
 //! Start with [`Panorama`] and [`photographed`]. This room never lights anything, never
 //! merges a bracket, and never takes the direction to a ball from anything but its rim.
 
@@ -12,6 +12,7 @@ pub mod axes;
 pub mod ball;
 pub mod circles;
 pub mod clipped;
+pub mod combine;
 pub mod compact_lights;
 pub mod cube;
 pub mod doubt;
