@@ -12,6 +12,7 @@ use platelight::camera::{Camera, Lens, Pose, file};
 use platelight::conventions::Rgb;
 use platelight::photo::Image;
 use platelight::photo::exr_file::{self, ExrPicture, ExrSamples};
+use platelight::probe::file::rotation_xyz_deg;
 use platelight::shot::ShotFile;
 use program::{platelight, text};
 use tiny::{Plate, write_shot};
@@ -65,6 +66,12 @@ fn a_panorama_s_arguments_are_judged_before_anything_is_read() {
         (vec!["a.jpg", "--ball", "--camera", "c.json", "--crop", "1,2,0"], "--crop"),
         (vec!["a.hdr", "--cube", "--colour", "sRBG"], "sRBG"),
         (vec!["a.jpg", "--fisheye", "equidistant", "--times", "x"], "\"x\""),
+        (vec!["a.exr", "--merge"], "two or more"),
+        (vec!["a.exr", "a.exr", "--merge"], "named twice"),
+        (vec!["a.exr", "b.exr", "--merge", "--width", "64"], "--width"),
+        (vec!["a.exr", "b.exr", "--merge", "--photographer", "120"], "--photographer"),
+        (vec!["a.exr", "b.exr", "--merge", "--match", "1,2,3"], "each match takes four"),
+        (vec!["a.exr", "--lat-long", "--match", "1,2,3,4"], "--merge"),
     ] {
         let all = [&["panorama"], arguments.as_slice(), &out].concat();
         let output = platelight(&all);
@@ -100,6 +107,37 @@ fn a_ball_in_a_cut_out_is_unwrapped_once_its_place_in_the_frame_is_said() {
         assert_eq!(output.status.code(), Some(2), "{outside}: {said}");
         assert!(said.contains("--crop") && said.contains("1080 × 720 px"), "{outside}: {said}");
     }
+}
+
+#[test]
+fn two_panoramas_in_different_axes_are_merged_in_the_first_one_s() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let name = |name: &str| folder.path().join(name).display().to_string();
+    let camera = folder.path().join("camera.json");
+    let lens = Lens::pinhole(1180.0, 1080, 720);
+    let whole = Camera { width: 1080, height: 720, lens, pose: Pose::identity() };
+    file::write(&camera, &whole, false).expect("camera.json");
+    let ball = Path::new(env!("CARGO_MANIFEST_DIR")).join("plates/demo/ball_b3.jpg");
+    let (one, other, both) = (name("one.exr"), name("other.exr"), name("both.exr"));
+    for (out, rotation) in [(&one, "0,0,0"), (&other, "20,70,-10")] {
+        let crop = ["--camera", text(&camera), "--crop", "1260,661,3", "--width", "256"];
+        let ball = ["panorama", text(&ball), "--ball", "--rotation", rotation, "-o", out];
+        let output = platelight(&[&ball[..], &crop].concat());
+        assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+    }
+    let output = platelight(&["--json", "panorama", &one, &other, "--merge", "-o", &both]);
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+    let json: serde_json::Value = serde_json::from_slice(&output.stdout).expect("JSON");
+    let angles = json["merged"]["views"][1]["rotation_deg"].as_array().expect("three angles");
+    let angles: Vec<f64> = angles.iter().filter_map(serde_json::Value::as_f64).collect();
+    let turn = |degrees: &[f64]| rotation_xyz_deg([degrees[0], degrees[1], degrees[2]]);
+    let left = (turn(&angles) * turn(&[20.0, 70.0, -10.0])).to_axis_angle().1.to_degrees();
+    assert!(left.min(360.0 - left) < 0.2, "{left}° from the first one's axes: {json}");
+    // One photograph twice: what it does not show nobody shows, and the light is its own.
+    let seen: Vec<f64> = (0..3).filter_map(|n| json["merged"]["seen_by"][n].as_f64()).collect();
+    assert!(seen[0] > 0.0 && seen[0] < 0.05 && seen[2] > 0.9, "{seen:?}");
+    let gain = json["merged"]["views"][1]["gain"][1].as_f64().expect("a number");
+    assert!((gain - 1.0).abs() < 0.01, "gain {gain}");
 }
 
 #[test]

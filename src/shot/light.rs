@@ -201,8 +201,8 @@ fn unseen_warning(panorama: &Panorama) -> Option<Warning> {
         Warning::new(
             "probe.fisheye",
             "part of the upper hemisphere was not seen and is filled from the edge of the image circle; \
-             point the lens up (rotation = [90, 0, 0]), or merge views in another program and give the \
-             panorama",
+             point the lens up (rotation = [90, 0, 0]), or merge two views with platelight panorama --merge \
+             and give that panorama",
             format!("{:.0} % of the light on level ground", 100.0 * guessed),
         )
     })

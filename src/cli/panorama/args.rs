@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use glam::{DQuat, DVec3, Vec3};
 
+use super::merge::MergeArgs;
 use crate::bracket::exposure;
 use crate::cli::CliError;
 use crate::conventions::Rgb;
@@ -21,6 +22,8 @@ use crate::probe::{Ball, ProbeError, file};
 /// --overlay, and give --hint where it is wrong. The panorama's axes are the camera's (it looked
 /// along -Z, +Y up) unless --camera holds a pose; --rotation turns them. Its unit is the
 /// photographs' linear value divided by their exposure; layers hold variance, validity and coverage.
+/// Two balls seen from 90 to 120 degrees apart show what each alone hides: make a panorama of each, and
+/// --merge them; they are turned into the first one's axes by what they show.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -37,7 +40,8 @@ Examples:
   platelight panorama pano.exr --lat-long --to latlong:blender -o blender.hdr
   platelight panorama pano.exr --lat-long --to cube-faces:opengl -o sky.exr
   platelight panorama px.hdr nx.hdr py.hdr ny.hdr pz.hdr nz.hdr \\
-      --cube-faces=opengl -o pano.exr --axes axes.png")]
+      --cube-faces=opengl -o pano.exr --axes axes.png
+  platelight panorama ball_left.exr ball_right.exr --merge -o both.exr")]
 pub struct Args {
     /// The photographs of one bracket, or one picture
     #[arg(required = true, value_name = "PHOTO")]
@@ -49,6 +53,8 @@ pub struct Args {
     pub(super) kind: Kind,
     #[command(flatten)]
     pub(super) further: Further,
+    #[command(flatten)]
+    pub(super) merging: MergeArgs,
     /// The ball's centre and radius in pixels, if it is not found
     #[arg(long, value_name = "U,V,R", value_delimiter = ',', requires = "ball")]
     pub(super) hint: Option<Vec<f64>>,
@@ -96,11 +102,11 @@ pub struct Args {
         long,
         value_delimiter = ',',
         value_name = "TIMES",
-        conflicts_with_all = ["angular", "ball_map", "cube", "lat_long", "from", "cube_faces"]
+        conflicts_with_all = ["angular", "ball_map", "cube", "lat_long", "from", "cube_faces", "merge"]
     )]
     pub(super) times: Option<Vec<String>>,
     /// Texels across; the height is half [default: as fine as the photograph; a lat-long keeps its own]
-    #[arg(long, value_name = "N", conflicts_with = "lat_long")]
+    #[arg(long, value_name = "N", conflicts_with_all = ["lat_long", "merge"])]
     pub(super) width: Option<usize>,
     /// Also write the panorama as a PNG to look at
     #[arg(long, value_name = "PNG")]
@@ -185,6 +191,10 @@ pub(super) struct Kind {
     /// A map of directions in any mapping that --to knows
     #[arg(long, value_name = "MAPPING")]
     pub(super) from: Option<String>,
+    /// Lat-long panoramas of one place, written by this command: merged into one, each direction from the
+    /// one that shows it best
+    #[arg(long)]
+    pub(super) merge: bool,
 }
 
 #[derive(Clone, Copy, Debug, clap::ValueEnum)]
@@ -221,6 +231,8 @@ pub(super) enum Source {
     Map(Layout),
     /// Six faces of a cube.
     Faces(CubeFaces),
+    /// Several panoramas of one place.
+    Panoramas,
 }
 
 /// What is written.
@@ -282,6 +294,9 @@ impl<'a> Wishes<'a> {
         if args.vignetting.is_some() && !(kind.fisheye.is_some() || kind.lens) {
             return Err(CliError::wrong("--vignetting: is for --fisheye and --lens; leave it out"));
         }
+        if let Some(option) = args.merging.idle().filter(|_| !kind.merge) {
+            return Err(CliError::wrong(format!("{option} is for --merge, which is not given")));
+        }
         let target = Target::named(&args.further.to)
             .map_err(|error| CliError::wrong(format!("--to: {error}")))?;
         Ok(Self {
@@ -309,6 +324,9 @@ fn source(kind: &Kind) -> Result<Source, CliError> {
     }
     if let Some(name) = &kind.from {
         return Ok(Source::Map(Layout::named(name).map_err(|error| wrong("--from", error))?));
+    }
+    if kind.merge {
+        return Ok(Source::Panoramas);
     }
     let maps = [
         (kind.angular, Layout::Angular),

@@ -1,10 +1,11 @@
 //! `platelight panorama`: photographs of a light probe, or a map of directions → panorama.
 //!
 //! [`args`] (what can be asked) → [`photographed`] → panorama → [`written`] (in which layout, and what
-//! beside it) → [`summary`].
+//! beside it) → [`summary`]. Several panoramas of one place go through [`merge`].
 
 mod args;
 mod fill_sky;
+mod merge;
 mod photographed;
 mod summary;
 mod written;
@@ -29,7 +30,13 @@ pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
     let wishes = Wishes::judge(args)?;
     check_files(&wishes)?;
     let mut warnings = Vec::new();
+    let mut merged = None;
     let mut found = match wishes.source {
+        Source::Panoramas => {
+            let (found, report) = merge::merge(&wishes, &mut warnings, global)?;
+            merged = Some(report);
+            found
+        }
         Source::Photographs => photographed(&wishes, &mut warnings, global)?,
         Source::Map(layout) => mapped(&wishes, layout, &mut warnings)?,
         Source::Faces(faces) => {
@@ -55,7 +62,8 @@ pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
         write_png(path, &tone::display(&panorama.radiance, shown, ToneCurve::REINHARD))?;
     }
     written::beside(&wishes, &panorama)?;
-    let summary = summary(&wishes, &panorama, size, found.ball.as_ref(), sky, warnings);
+    let mut summary = summary(&wishes, &panorama, size, found.ball.as_ref(), sky, warnings);
+    summary.merged = merged;
     for warning in &summary.warnings {
         global.warn(warning);
     }

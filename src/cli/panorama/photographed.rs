@@ -19,6 +19,7 @@ use crate::probe::lens_picture::LensPicture;
 use crate::probe::mapping::Mapping;
 use crate::probe::overlay::overlay;
 use crate::probe::unwrap::{BallView, natural_width};
+use crate::probe::view::Seeing;
 use crate::probe::{Ball, Doubt, Panorama, file, photographed};
 
 /// A panorama, and how its pictures showed it.
@@ -28,15 +29,18 @@ pub(super) struct Photographed {
     /// The photograph with the rim, if it is wanted.
     pub(super) overlay: Option<Image<Rgb>>,
     pub(super) seen: Seen,
+    /// Through what, in the panorama's world axes, as far as its file can say.
+    pub(super) seeing: Option<Seeing>,
     /// What a value of 1 means.
     pub(super) unit: String,
 }
 
 /// Which direction each pixel of a picture showed.
-pub(super) struct Seen {
-    pub(super) mapping: Box<dyn Mapping>,
-    pub(super) size: (usize, usize),
-    pub(super) mapping_from_world: DMat3,
+pub(super) enum Seen {
+    /// Of one picture.
+    Picture { mapping: Box<dyn Mapping>, size: (usize, usize), mapping_from_world: DMat3 },
+    /// Of several: pixels per degree, as a panorama in all channels.
+    Several(Panorama),
 }
 
 /// Ball, fisheye or lens: merge, find, unwrap.
@@ -66,6 +70,7 @@ fn through_a_lens(
 ) -> Result<Photographed, CliError> {
     let args = wishes.args;
     let size = (radiance.mean.width(), radiance.mean.height());
+    let mut seeing = None;
     let (mapping, world_from_lens, width): (Box<dyn Mapping>, _, _) = match args.kind.fisheye {
         Some(kind) => {
             let lens = fisheye(wishes, kind, size.0, size.1)?;
@@ -73,6 +78,7 @@ fn through_a_lens(
                 vignetting.divide_out(&mut radiance, |pixel| lens.off_axis(pixel))?;
             }
             let width = natural_width(lens.radius_px());
+            seeing = Some(Seeing::fisheye(&lens, wishes.rotation));
             (Box::new(lens), wishes.rotation, width)
         }
         None => {
@@ -90,8 +96,8 @@ fn through_a_lens(
     let width = args.width.unwrap_or(width);
     let panorama = photographed::through(&radiance, &*mapping, world_from_lens, width)?;
     let mapping_from_world = DMat3::from_quat(world_from_lens.conjugate());
-    let seen = Seen { mapping, size, mapping_from_world };
-    Ok(Photographed { panorama, ball: None, overlay: None, seen, unit })
+    let seen = Seen::Picture { mapping, size, mapping_from_world };
+    Ok(Photographed { panorama, ball: None, overlay: None, seen, seeing, unit })
 }
 
 fn ball(
@@ -123,14 +129,16 @@ fn ball(
                 .into(),
         );
     }
-    let seen = Seen {
+    let seen = Seen::Picture {
         mapping: Box::new(BallView::new(&camera, &found.rim, &ball, None)?),
         size,
         mapping_from_world: camera.pose.rotation().transpose()
             * DMat3::from_quat(wishes.rotation.conjugate()),
     };
+    let seeing = Seeing::ball(&camera.lens, &found.rim, camera.pose.rotation())?;
+    let seeing = Some(seeing.rotated(wishes.rotation));
     let panorama = panorama.rotated(wishes.rotation);
-    Ok(Photographed { panorama, ball: Some(found), overlay: drawn, seen, unit })
+    Ok(Photographed { panorama, ball: Some(found), overlay: drawn, seen, seeing, unit })
 }
 
 /// One picture of directions, or the six faces of a cube.
@@ -173,7 +181,8 @@ pub(super) fn mapped(
         panorama: read.panorama,
         ball: None,
         overlay: None,
-        seen: Seen { mapping, size, mapping_from_world },
+        seen: Seen::Picture { mapping, size, mapping_from_world },
+        seeing: None,
         unit: "the value of the file that was read".into(),
     })
 }

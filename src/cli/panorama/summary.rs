@@ -8,6 +8,7 @@ use serde::Serialize;
 
 use super::args::Wishes;
 use super::fill_sky::SkySummary;
+use super::merge::{self, Merged};
 use crate::bracket::Validity;
 use crate::conventions::luminance;
 use crate::probe::find::BallImage;
@@ -29,6 +30,9 @@ pub(super) struct Summary {
     /// Irradiance on a level surface, the panorama's unit.
     pub(super) irradiance_up: [f32; 3],
     pub(super) clipped: Vec<ClippedSummary>,
+    /// How several panoramas became one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) merged: Option<Merged>,
     pub(super) warnings: Vec<String>,
 }
 
@@ -96,6 +100,7 @@ pub(super) fn summary(
                 place: r.to_string(),
             })
             .collect(),
+        merged: None,
         warnings,
     }
 }
@@ -133,5 +138,6 @@ pub(super) fn text(summary: &Summary) -> String {
     for region in summary.clipped.iter().take(5) {
         lines.push(format!("  clipped: {}", region.place));
     }
+    lines.extend(summary.merged.iter().flat_map(merge::lines));
     lines.join("\n")
 }

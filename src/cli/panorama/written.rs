@@ -5,7 +5,7 @@ use std::path::Path;
 use glam::{DMat3, DVec3};
 
 use super::args::{Target, Wishes};
-use super::photographed::Photographed;
+use super::photographed::{Photographed, Seen};
 use crate::cli::CliError;
 use crate::light::sibl::{self, SiblFiles};
 use crate::photo::tone::{ToneCurve, automatic_stops, display};
@@ -58,10 +58,10 @@ pub(super) fn write(wishes: &Wishes, found: &Photographed) -> Result<(usize, usi
         unit: Some(found.unit.clone()),
         rotation_deg: Some(wishes.rotation_deg),
         place_m: found.panorama.place,
-        seen_through: None,
+        seen_through: found.seeing,
     };
     let layers = match further.quality {
-        true => quality_layers(found, layout, size),
+        true => quality_layers(found, layout, size)?,
         false => Vec::new(),
     };
     let files = wishes.target.files(&wishes.args.out);
@@ -117,15 +117,28 @@ fn write_one(
 }
 
 /// How finely the pictures showed each texel's direction.
-fn quality_layers(found: &Photographed, layout: Layout, size: (usize, usize)) -> Vec<Layer> {
-    let Some(target) = layout.mapping(size) else { return Vec::new() };
-    let seen = &found.seen;
-    let source_from_target = seen.mapping_from_world * world_from_picture(layout);
-    let found = quality(&*seen.mapping, seen.size, &*target, size, source_from_target);
-    vec![
+fn quality_layers(
+    found: &Photographed,
+    layout: Layout,
+    size: (usize, usize),
+) -> Result<Vec<Layer>, CliError> {
+    let (mapping, source_size, mapping_from_world) = match &found.seen {
+        Seen::Picture { mapping, size, mapping_from_world } => {
+            (mapping, *size, *mapping_from_world)
+        }
+        Seen::Several(px_per_deg) => {
+            let laid_out = file::laid_out(px_per_deg, layout, size)?;
+            let samples = laid_out.light.mean.map(|all| all.x);
+            return Ok(vec![Layer { name: "quality.Y", samples }]);
+        }
+    };
+    let Some(target) = layout.mapping(size) else { return Ok(Vec::new()) };
+    let source_from_target = mapping_from_world * world_from_picture(layout);
+    let found = quality(&**mapping, source_size, &*target, size, source_from_target);
+    Ok(vec![
         Layer { name: "quality.Y", samples: found.pixels_per_degree },
         Layer { name: "solid_angle.Y", samples: found.sr_per_pixel },
-    ]
+    ])
 }
 
 fn world_from_picture(layout: Layout) -> DMat3 {
