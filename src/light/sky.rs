@@ -86,8 +86,8 @@ pub struct Sky {
     turbidity: f64,
     ground: Rgb,
     preetham: Preetham,
-    /// Our radiance for the model's kcd/m², per channel.
-    scale: DVec3,
+    /// Our radiance for the model's kcd/m².
+    scale: f64,
     /// Irradiance of level ground by the sky.
     sky_irradiance: DVec3,
     /// Irradiance of a surface facing the sun.
@@ -137,7 +137,7 @@ impl Sky {
             turbidity,
             ground,
             preetham,
-            scale: DVec3::splat(scale),
+            scale,
             sky_irradiance: shape * scale,
             sun_irradiance: strength.sun,
         })
@@ -177,14 +177,10 @@ impl Sky {
         self
     }
 
-    /// The same light in the unit in which the model's 1 kcd/m² are this radiance; `of_channels` is the
-    /// same for the sky's red, green and blue, where that is seen to have another colour.
-    pub(super) fn with_scale(self, scale: f64, of_channels: DVec3) -> Self {
-        let factor = scale / self.scale.y;
-        let mut sky = self.scaled(factor);
-        sky.sky_irradiance *= of_channels / sky.scale;
-        sky.scale = of_channels;
-        sky
+    /// The same light in the unit in which the model's 1 kcd/m² are this radiance.
+    pub(super) fn with_luminance_scale(self, scale: f64) -> Self {
+        let factor = scale / self.scale;
+        self.scaled(factor)
     }
 
     /// Radiance from a direction (unit, world), without the sun's disc.

@@ -1,10 +1,9 @@
 //! The clear sky that a probe saw in part, and what it did not see filled with the rest of it.
 //!
-//! Turbidity and scale are fitted to what is well known of the sky (methods-capture C8), never the model's
-//! own strength. Sums of absolute differences of logarithms, not of squares: houses, trees and small
-//! clouds may hide up to half of the sky. Each channel has a scale, for a real sky of a low sun is bluer
-//! than the model's (a park at 10°: red −17 %, blue +41 %, its sun red −20 %, blue +7 %), which would show
-//! as a seam. An unseen sun keeps the model's colour and its strength beside the sky's luminance.
+//! Turbidity and one scale, fitted to what is well known of the sky (methods-capture C8): never the
+//! model's own strength. Sums of absolute differences of logarithms, not of squares: houses, trees and
+//! small clouds may hide up to half of the sky. The colour is the model's: a probe of another white
+//! balance shows a seam.
 
 use glam::{DVec2, DVec3};
 
@@ -20,8 +19,8 @@ use crate::probe::{Panorama, clipped_regions};
 pub struct SkyFit {
     /// In the panorama's unit.
     pub sky: Sky,
-    /// Relative standard deviation of the well known sky from the model, from its median, mean of the
-    /// channels: a real clear day over a park has 10 %.
+    /// Relative standard deviation of the well known sky from the model, from its median: a clear
+    /// sky's is a few per cent.
     pub residual: f64,
     /// Share of the upper half sphere that the fit saw.
     pub seen: f64,
@@ -53,7 +52,7 @@ pub enum FitError {
 struct Sample {
     cos_theta: f64,
     cos_gamma: f64,
-    radiance: Rgb,
+    log_luminance: f64,
     solid_angle: f64,
 }
 
@@ -72,30 +71,18 @@ pub fn fit(panorama: &Panorama, sun: DVec3, ground: Rgb) -> Result<SkyFit, FitEr
         return Err(FitError::TooLittle(seen));
     }
     let sun_zenith = sun.x.hypot(sun.z).atan2(sun.y);
-    let models = |turbidity: f64| -> Vec<Rgb> {
+    let differences = |turbidity: f64| {
         let preetham = Preetham::new(turbidity, sun_zenith);
-        samples.iter().map(|s| preetham.radiance(s.cos_theta, s.cos_gamma).as_vec3()).collect()
-    };
-    let differences = |models: &[Rgb], of: fn(Rgb) -> f32| {
-        let pairs = samples.iter().zip(models).map(|(s, &model)| {
-            // Where Rec.709 cannot hold the model's colour a channel of it is 0.
-            let ratio = f64::from(of(s.radiance)) / f64::from(of(model)).max(1e-9);
-            (ratio.ln(), s.solid_angle)
+        let pairs = samples.iter().map(|s| {
+            let model = preetham.radiance(s.cos_theta, s.cos_gamma).as_vec3();
+            (s.log_luminance - f64::from(luminance(model)).ln(), s.solid_angle)
         });
         spread(pairs.collect())
     };
-    let channels: [fn(Rgb) -> f32; 3] = [|l| l.x, |l| l.y, |l| l.z];
-    let turbidity = least(|turbidity| {
-        let models = models(turbidity);
-        channels.iter().map(|&of| differences(&models, of).mean).sum()
-    });
-    let models = models(turbidity);
-    let of_channels = channels.map(|of| differences(&models, of).median.exp());
-    let scale = differences(&models, luminance).median.exp();
-    let sky = Sky::of_model(sun, turbidity, ground)?.with_scale(scale, of_channels.into());
-    let residual =
-        channels.iter().map(|&of| differences(&models, of).robust_sigma).sum::<f64>() / 3.0;
-    Ok(SkyFit { sky, residual: residual.exp_m1(), seen })
+    let turbidity = least(|turbidity| differences(turbidity).mean);
+    let Spread { median, robust_sigma, .. } = differences(turbidity);
+    let sky = Sky::of_model(sun, turbidity, ground)?.with_luminance_scale(median.exp());
+    Ok(SkyFit { sky, residual: robust_sigma.exp_m1(), seen })
 }
 
 /// The well known sky, thinned evenly, and what share of the upper half sphere all of it is.
@@ -111,15 +98,15 @@ fn samples(panorama: &Panorama, sun: DVec3) -> (Vec<Sample>, f64) {
         let solid_angle = panorama.solid_angle(y);
         for x in 0..panorama.width() {
             let known = matches!(panorama.validity[(x, y)], Validity::Measured | Validity::Single);
-            let radiance = panorama.radiance[(x, y)];
-            let shines = radiance.min_element() > 0.0 && radiance.is_finite();
-            if !known || panorama.coverage[(x, y)] < 0.5 || !shines {
+            let l = luminance(panorama.radiance[(x, y)]);
+            if !known || panorama.coverage[(x, y)] < 0.5 || !(l > 0.0 && l.is_finite()) {
                 continue;
             }
             let direction = panorama.direction(x, y);
             if direction.y > 0.0 && !near(direction) {
+                let log_luminance = f64::from(l).ln();
                 let (cos_theta, cos_gamma) = (direction.y, direction.dot(sun));
-                all.push(Sample { cos_theta, cos_gamma, radiance, solid_angle });
+                all.push(Sample { cos_theta, cos_gamma, log_luminance, solid_angle });
             }
         }
     }
@@ -227,8 +214,6 @@ mod tests {
     use crate::photo::Image;
 
     const UNIT: f64 = 7.0;
-    /// Of the camera against the model.
-    const TINT: Rgb = Rgb::new(0.8, 1.05, 1.4);
 
     fn sun(elevation_deg: f64) -> DVec3 {
         SunPosition { azimuth_deg: 250.0, elevation_deg }.direction(0.0)
@@ -238,7 +223,7 @@ mod tests {
     fn photographed(elevation_deg: f64, turbidity: f64) -> Panorama {
         let sky = Sky::new(sun(elevation_deg), turbidity, DEFAULT_GROUND).expect("a sky");
         let panorama = sky.scaled(UNIT).panorama(256);
-        Panorama::from_radiance(panorama.radiance.map(|&l| l * TINT))
+        Panorama::from_radiance(panorama.radiance)
     }
 
     /// Marks what is not to be seen.
@@ -272,10 +257,10 @@ mod tests {
                     // The texels at the horizon, where the model bends most, are the worst.
                     let (found, true_l) = (half.radiance[(x, y)], whole.radiance[(x, y)]);
                     let up = half.direction(x, y).y > 0.0;
-                    let off = (found / true_l - 1.0).abs().max_element();
+                    let off = luminance(found) / luminance(true_l) - 1.0;
                     // The sun was seen on one side only; its disc is in no picture of these.
                     let beside = half.direction(x, y).angle_between(sun(elevation)) > 0.1;
-                    assert!(!up || !beside || off < 0.02, "{at}: ({x}, {y}) {off}");
+                    assert!(!up || !beside || off.abs() < 0.02, "{at}: ({x}, {y}) {off}");
                 }
             }
             assert!(half.share(Validity::Analytic) > 0.15);

@@ -7,6 +7,7 @@ use super::plan::Plan;
 use super::prepare::Prepared;
 use crate::camera::Camera;
 use crate::conventions::Rgb;
+use crate::light::Lights;
 use crate::photo::{self, Image, Photo, ReadOptions};
 use crate::report::{Canvas, overlay};
 
@@ -54,19 +55,32 @@ fn support(plan: &Plan, prepared: &Prepared) -> Overlay {
         overlay::object_box(&mut canvas, camera, &corners, name);
     }
     overlay::horizon(&mut canvas, camera);
-    let strongest = prepared.light.lights.suns.iter().max_by(|a, b| a.flux().total_cmp(&b.flux()));
-    if let Some(sun) = strongest {
-        let toward: DVec3 = sun.direction.as_dvec3();
+    let (lights, origin) = (&prepared.light.lights, prepared.scene.origin);
+    if let Some(toward) = strongest(lights, origin, foot + DVec3::Y * step) {
         overlay::shadow_direction(&mut canvas, camera, foot, step, toward);
     }
     Overlay {
         name: "overlay_support",
         title: "Support, axes, objects and shadow over the plate",
         caption: "White: the modelled support. Cyan: the objects' boxes. Red, green, blue: the world's X, \
-                  Y, Z, as long as is written beside X. Yellow: the horizon, and the shadow of an upright stick in the strongest small light; compare \
+                  Y, Z, as long as is written beside X. Yellow: the horizon, and the shadow of an upright stick in the strongest sun or lamp; compare \
                   it with real shadows.",
         canvas,
     }
+}
+
+/// Unit direction from the world point `tip` to the sun or lamp that lights it most.
+///
+/// `origin` is the place in the world that the lamps' centres are relative to.
+fn strongest(lights: &Lights, origin: DVec3, tip: DVec3) -> Option<DVec3> {
+    let suns = lights.suns.iter().map(|sun| (sun.direction.as_dvec3(), sun.flux()));
+    let lamps = lights.lamps.iter().map(|lamp| {
+        let way = origin + lamp.centre.as_dvec3() - tip;
+        // Solid angle of a small sphere; only compared.
+        let share = lamp.radius * lamp.radius / way.length_squared() as f32;
+        (way.normalize_or(DVec3::Y), std::f32::consts::PI * share * lamp.radiance.max_element())
+    });
+    suns.chain(lamps).max_by(|a, b| a.1.total_cmp(&b.1)).map(|(toward, _)| toward)
 }
 
 fn ball(plan: &Plan, prepared: &Prepared) -> Option<Overlay> {
@@ -162,6 +176,8 @@ fn bright(photo: &Photo) -> Image<Rgb> {
 
 #[cfg(test)]
 mod tests {
+    use glam::Vec3;
+
     use super::*;
 
     #[test]
@@ -173,6 +189,24 @@ mod tests {
             let last = thin[(expected - 1, 0)].x as usize;
             assert!(width - last <= width.div_ceil(MAX_WIDTH), "column {last} of {width}");
         }
+    }
+
+    #[test]
+    fn a_near_lamp_throws_the_shadow_where_it_outshines_the_sun() {
+        use crate::light::{Disc, Lamp, LightOptions};
+        use crate::probe::Panorama;
+        let dim = Panorama::from_radiance(Image::filled(16, 8, Rgb::splat(0.1)));
+        let mut lights = Lights::new(&dim, &LightOptions::default()).expect("light all round");
+        let (origin, tip) = (DVec3::new(10.0, 0.0, 0.0), DVec3::new(10.0, 0.1, 0.0));
+        assert_eq!(strongest(&lights, origin, tip), None);
+        let radiance = Rgb::splat(1000.0);
+        let sun = Disc { direction: Vec3::X, half_angle: 0.005, radiance };
+        lights = Lights::from_parts(lights.environment, vec![sun]);
+        assert_eq!(strongest(&lights, origin, tip), Some(DVec3::X));
+        // 0.03 m at 0.5 m: 144 times the sun's solid angle.
+        lights.lamps.push(Lamp { centre: Vec3::new(0.0, 0.5, 0.3), radius: 0.03, radiance });
+        let toward = strongest(&lights, origin, tip).expect("a lamp");
+        assert!((toward - DVec3::new(0.0, 0.8, 0.6)).length() < 1e-6, "{toward}");
     }
 
     #[test]
