@@ -218,7 +218,11 @@ fn by_what_they_show(args: &Args, views: &[View], k: usize) -> Result<Turned, Cl
     }
     let error = first_error.unwrap_or(RegisterError::Few { found: 0, needed: 1 });
     let path = args.photos[k].display();
-    Err(CliError::wrong(format!("{path}: {error} (--match U,V,U,V, or --register none)")))
+    let remedy = match error {
+        RegisterError::Mirrored => "",
+        _ => " (--match U,V,U,V, or --register none)",
+    };
+    Err(CliError::wrong(format!("{path}: {error}{remedy}")))
 }
 
 /// The second view by matched texels.
