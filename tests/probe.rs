@@ -6,14 +6,19 @@
 
 use std::path::PathBuf;
 
-use glam::{DAffine3, DMat3, DVec3};
+use glam::{DAffine3, DMat3, DQuat, DVec3};
 use platelight::bracket::{Frame, MergeOptions, Radiance, Validity, merge};
 use platelight::camera::{Camera, Distortion, Lens, Pose};
 use platelight::conventions::{Rgb, luminance};
 use platelight::photo::{self, Image, ReadOptions};
+use platelight::probe::combine::{Options, combine};
+use platelight::probe::compact_lights::compact_lights;
 use platelight::probe::find::{BallImage, Hints, find};
+use platelight::probe::fisheye::{Fisheye, Projection};
+use platelight::probe::register::{RegisterError, by_content};
 use platelight::probe::unwrap::{Support, unwrap_ball};
-use platelight::probe::{Ball, Panorama};
+use platelight::probe::view::Seeing;
+use platelight::probe::{Ball, Panorama, View, photographed};
 use serde_json::Value;
 
 /// The shared folder, or `None` with a word about it.
@@ -211,4 +216,55 @@ fn indoor_window() {
         with_bracket: true,
     };
     check("indoor-window", &limits);
+}
+
+/// Of the ball and of a fisheye that looks up, in axes of which nothing is told.
+///
+/// The truth's fisheye is drawn as a map, with +X right and +Z down: the mirror image of what a lens shows.
+#[test]
+fn a_ball_and_a_fisheye_find_their_way_together() {
+    let Some(scene) = scene("outdoor-sun") else { return };
+    let radiance = scene.noise_free();
+    let found = find(&radiance.mean, &scene.camera.lens, &Hints::default()).unwrap();
+    let world_from_camera = scene.camera.pose.rotation();
+    let seeing = Seeing::ball(&scene.camera.lens, &found.rim, world_from_camera).unwrap();
+    let ball = View { panorama: scene.unwrap(&radiance, &found), seeing };
+
+    let map = scene.picture("fisheye.exr");
+    let (w, h) = (map.width(), map.height());
+    let lens = Fisheye::new(Projection::Equidistant, 180.0, None, [w, h]).unwrap();
+    let view = |mean: Image<Rgb>| {
+        let radiance = Radiance {
+            mean,
+            variance: Image::filled(w, h, Rgb::ZERO),
+            validity: Image::filled(w, h, Validity::Measured),
+        };
+        let panorama =
+            photographed::fisheye(&radiance, &lens, DQuat::IDENTITY, Some(1024)).unwrap();
+        View { panorama, seeing: Seeing::fisheye(&lens, DQuat::IDENTITY) }
+    };
+    let fisheye = view(Image::from_fn(w, h, |x, y| map[(w - 1 - x, y)]));
+    assert_eq!(by_content(&ball, &view(map)), Err(RegisterError::Mirrored));
+
+    let content = by_content(&ball, &fisheye).unwrap();
+    let rotation = content.registration.rotation;
+    let truth = DMat3::from_cols(DVec3::NEG_X, DVec3::NEG_Z, DVec3::NEG_Y);
+    let error = DQuat::from_mat3(&truth).angle_between(rotation).to_degrees();
+    let merged = combine(&[ball, fisheye.rotated(rotation)], &Options::default()).unwrap();
+    let sun = DVec3::from_slice(&numbers(&scene.truth["sun"]["direction"]));
+    let found = compact_lights(&merged.panorama);
+    let off = found[0].direction.angle_between(sun).to_degrees();
+    let env = Panorama::from_radiance(scene.picture("env_latlong.exr"));
+    let (signed, absolute) = sky_ratio(&merged.panorama, &env);
+    eprintln!(
+        "turn {error:.3}° off (told ± {:.3}°), sun {off:.3}° off, exposure × {:.4}, sky {signed:+.4}, |·| \
+         {absolute:.4}",
+        content.registration.sigma_rad().to_degrees(),
+        merged.given[1].gain.factor.y,
+    );
+    // The ball's rim gives its directions to 0.12°.
+    assert!(error < 0.3, "the turn is {error}° off");
+    assert!(off < 0.3, "the sun is {off}° off");
+    assert!((merged.given[1].gain.factor.y - 1.0).abs() < 0.01);
+    assert!(absolute < 0.01, "sky |{absolute}| off");
 }
