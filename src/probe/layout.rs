@@ -25,12 +25,13 @@ pub enum Layout {
 }
 
 /// The names, each as it is without a word after a colon.
-const NAMES: [(&str, Layout); 12] = [
+const NAMES: [(&str, Layout); 13] = [
     ("latlong", Layout::LatLong(Axes::OpenExr)),
     ("angular", Layout::Angular),
     ("ball", Layout::BallMap),
     ("sphere", Layout::BallMap),
     ("cube-cross", Layout::Cube(CubeLayout::Cross, CubeFaces::Inside)),
+    ("cube", Layout::Cube(CubeLayout::Cross, CubeFaces::Inside)),
     ("cube-vertical", Layout::Cube(CubeLayout::VerticalCross, CubeFaces::Inside)),
     ("cube-strip", Layout::Cube(CubeLayout::Strip, CubeFaces::Inside)),
     ("cube-column", Layout::Cube(CubeLayout::Column, CubeFaces::Inside)),
@@ -39,6 +40,13 @@ const NAMES: [(&str, Layout); 12] = [
     ("fisheye-stereographic", Layout::Fisheye(Projection::Stereographic, 180.0)),
     ("fisheye-orthographic", Layout::Fisheye(Projection::Orthographic, 180.0)),
 ];
+
+/// Its name.
+impl serde::Serialize for Layout {
+    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.serialize_str(&self.name())
+    }
+}
 
 impl Layout {
     /// The layout of this name.
@@ -240,7 +248,7 @@ mod tests {
         assert_eq!(Layout::named("sphere").unwrap(), Layout::BallMap);
         for text in [
             "",
-            "cube",
+            "cubes",
             "latlong:maya",
             "angular:usd",
             "cube-cross:opengl",

@@ -9,8 +9,7 @@ use super::near_field::NearField;
 use super::place;
 use super::plan::Plan;
 use super::probe_keys::{
-    Ball as BallKeys, Clipped, Fisheye, FisheyeMapping, PanoramaKeys, PanoramaMapping, ProbeSource,
-    Suns,
+    Ball as BallKeys, Clipped, Fisheye, FisheyeMapping, PanoramaKeys, ProbeSource, Suns,
 };
 use super::sky::SkyKeys;
 use crate::bracket::Radiance;
@@ -20,9 +19,7 @@ use crate::light::clipped::{self, RecoverError, Stage};
 use crate::light::sky;
 use crate::light::{Disc, LightOptions, Lights, SunSplit, take_out};
 use crate::photo::{Image, ReadOptions};
-use crate::probe::axes::Axes;
-use crate::probe::cube::{CubeFaces, CubeLayout};
-use crate::probe::file::{self, Layout, rotation_xyz_deg};
+use crate::probe::file::{self, rotation_xyz_deg};
 use crate::probe::find::{self, BallImage};
 use crate::probe::fisheye::{self, Projection};
 use crate::probe::photographed;
@@ -209,14 +206,8 @@ fn unseen_warning(panorama: &Panorama) -> Option<Warning> {
 }
 
 fn take_panorama(keys: &PanoramaKeys) -> Result<Unwrapped, String> {
-    let layout = match keys.mapping {
-        PanoramaMapping::LatLong => Layout::LatLong(Axes::OpenExr),
-        PanoramaMapping::Angular => Layout::Angular,
-        PanoramaMapping::BallMap => Layout::BallMap,
-        PanoramaMapping::Cube => Layout::Cube(CubeLayout::Cross, CubeFaces::Inside),
-    };
     let rotation = rotation_xyz_deg(keys.rotation);
-    let read = file::read(&keys.file, layout, rotation, None, &ReadOptions::default())
+    let read = file::read(&keys.file, keys.mapping, rotation, None, &ReadOptions::default())
         .map_err(|error| error.to_string())?;
     let mut panorama = read.panorama;
     panorama.place = keys.at.into();

@@ -8,6 +8,8 @@ use serde::Serialize;
 use super::camera_keys::{CameraKeys, CameraSource, ExposureKeys, PoseSource};
 use super::keys::Keys;
 use super::sky::SkyKeys;
+use crate::probe::axes::Axes;
+use crate::probe::layout::Layout;
 
 /// `[probe]`
 #[derive(Clone, Debug, Serialize)]
@@ -83,20 +85,11 @@ pub enum FisheyeMapping {
 #[derive(Clone, Debug, Serialize)]
 pub struct PanoramaKeys {
     pub file: PathBuf,
-    pub mapping: PanoramaMapping,
+    pub mapping: Layout,
     /// Degrees about the world's X, then Y, then Z.
     pub rotation: [f64; 3],
     /// Where it was taken, metres.
     pub at: [f64; 3],
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "lowercase")]
-pub enum PanoramaMapping {
-    LatLong,
-    Angular,
-    BallMap,
-    Cube,
 }
 
 /// What to do with light that is clipped in every exposure.
@@ -281,16 +274,13 @@ impl PanoramaKeys {
     const KEYS: &[&str] = &["file", "mapping", "rotation", "at"];
 
     fn read(keys: &Keys, folder: &Path) -> Option<Self> {
-        let mappings = [
-            ("latlong", PanoramaMapping::LatLong),
-            ("angular", PanoramaMapping::Angular),
-            ("ball", PanoramaMapping::BallMap),
-            ("cube", PanoramaMapping::Cube),
-        ];
+        let mapping = keys.text("mapping").map(|name| {
+            Layout::named(name).map_err(|error| keys.problem("mapping", &error.to_string())).ok()
+        });
         let file = keys.need("file", keys.file("file", folder), "name the panorama's file");
         Some(Self {
             file: file?,
-            mapping: keys.choice("mapping", &mappings).unwrap_or(PanoramaMapping::LatLong),
+            mapping: mapping.flatten().unwrap_or(Layout::LatLong(Axes::OpenExr)),
             rotation: keys.numbers("rotation").unwrap_or_default(),
             at: keys.place("at").unwrap_or_default(),
         })
