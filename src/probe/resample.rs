@@ -191,6 +191,10 @@ impl<'a, M: Mapping + ?Sized, D: Mapping> Gatherer<'a, M, D> {
 
     fn texel(&self, x: usize, y: usize, cell: [Option<DVec2>; 4], taps: &mut Taps) -> Texel {
         taps.clear();
+        // Neither corners nor middle: what a narrow lens leaves of the sphere is not searched 64 times.
+        if cell.iter().all(Option::is_none) && self.locate(x as f64, y as f64).is_none() {
+            return self.mix(taps, 0.0);
+        }
         let smooth = self.smooth_cell(cell);
         let side = smooth.map_or(MAX_SIDE, samples_along);
         let mut asked = 0.0;
@@ -283,12 +287,12 @@ impl<'a, M: Mapping + ?Sized, D: Mapping> Gatherer<'a, M, D> {
             radiance: Rgb::ZERO,
             variance: Rgb::ZERO,
             validity: Validity::Filled,
-            coverage: (taps.seen / asked) as f32,
+            coverage: 0.0,
         };
-        if taps.seen <= 0.0 || asked <= 0.0 {
-            texel.coverage = 0.0;
+        if taps.seen <= 0.0 {
             return texel;
         }
+        texel.coverage = (taps.seen / asked) as f32;
         let mut validity = Validity::Measured;
         for &(index, weight) in &taps.weights {
             let share = (weight / taps.seen) as f32;
