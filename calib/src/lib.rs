@@ -17,6 +17,7 @@ pub mod lens;
 mod mat;
 mod projection;
 mod saddle;
+pub mod stitch;
 mod strip;
 pub mod tag;
 pub mod targets;

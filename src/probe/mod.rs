@@ -37,6 +37,7 @@ pub mod resample;
 pub mod rim;
 pub mod ring;
 pub mod scatter;
+pub mod stitched;
 #[cfg(test)]
 mod test_worlds;
 pub mod unwrap;

@@ -1,4 +1,4 @@
-//! Boards and tags in photographs: the only door from this crate to `calib/`.
+//! Boards, tags and overlaps in photographs: the only door from this crate to `calib/`.
 //!
 //! [`Photo`] → corners in pixels and places on the print. Without the feature `opencv` every function
 //! here answers [`DetectError::NoOpenCv`]; lenses from files or focal lengths and poses from marked
@@ -11,14 +11,16 @@ mod without_calib;
 
 #[cfg(feature = "opencv")]
 pub use self::with_calib::{
-    board, calibrate, charuco_pattern, from_calib, tag, tag_pattern, to_calib,
+    board, calibrate, charuco_pattern, from_calib, tag, tag_pattern, to_calib, turned_cameras,
 };
 #[cfg(not(feature = "opencv"))]
-pub use self::without_calib::{board, calibrate, charuco_pattern, tag, tag_pattern};
+pub use self::without_calib::{
+    board, calibrate, charuco_pattern, tag, tag_pattern, turned_cameras,
+};
 
 use std::ops::RangeInclusive;
 
-use glam::DVec2;
+use glam::{DMat3, DVec2};
 
 use crate::camera::Lens;
 use crate::photo::{Image, Photo};
@@ -46,6 +48,15 @@ pub enum DetectError {
         "tag {id} is not seen, but {seen}; check family and id, and that the white margin is whole"
     )]
     OtherTags { id: u32, seen: String },
+}
+
+/// How one of several overlapping photographs was taken.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TurnedCamera {
+    /// A pinhole.
+    pub lens: Lens,
+    /// Level where the cameras were; which of them is ahead is the stitcher's choice.
+    pub world_from_camera: DMat3,
 }
 
 /// A board seen in a photograph.

@@ -36,6 +36,7 @@ Examples:
   platelight panorama sky.exr --fisheye equidistant --fov 180 \\
       --rotation 90,0,0 -o pano.exr
   platelight panorama sky_b*.jpg --lens --camera fisheye.json -o pano.exr
+  platelight panorama turn_*.exr --stitch --rotation 0,30,0 -o pano.exr
   platelight panorama grace_probe.hdr --angular -o grace.exr
   platelight panorama pano.exr --lat-long --to latlong:blender -o blender.hdr
   platelight panorama pano.exr --lat-long --to cube-faces:opengl -o sky.exr
@@ -166,6 +167,10 @@ pub(super) struct Kind {
     /// A picture through the lens of --camera: any model, Kannala-Brandt fisheyes too
     #[arg(long, requires = "camera")]
     pub(super) lens: bool,
+    /// Photographs that overlap, turned about one place: cameras by OpenCV's stitcher, lenses taken as
+    /// without distortion; level if the camera was, and which photograph is ahead (-Z) is its choice
+    #[arg(long)]
+    pub(super) stitch: bool,
     /// Debevec's angular map (-Z in the middle)
     #[arg(long)]
     pub(super) angular: bool,
@@ -227,6 +232,8 @@ pub(super) struct Wishes<'a> {
 pub(super) enum Source {
     /// Of a ball, through a fisheye or a lens: bracketed or not.
     Photographs,
+    /// Overlapping ones.
+    Overlapping,
     /// One picture of directions.
     Map(Layout),
     /// Six faces of a cube.
@@ -297,6 +304,11 @@ impl<'a> Wishes<'a> {
         if let Some(option) = args.merging.idle().filter(|_| !kind.merge) {
             return Err(CliError::wrong(format!("{option} is for --merge, which is not given")));
         }
+        if args.further.quality && kind.stitch {
+            return Err(CliError::wrong(
+                "--quality: is of one picture; leave it out with --stitch",
+            ));
+        }
         let target = Target::named(&args.further.to)
             .map_err(|error| CliError::wrong(format!("--to: {error}")))?;
         Ok(Self {
@@ -317,6 +329,9 @@ impl<'a> Wishes<'a> {
 }
 
 fn source(kind: &Kind) -> Result<Source, CliError> {
+    if kind.stitch {
+        return Ok(Source::Overlapping);
+    }
     let wrong = |option: &str, error: ProbeError| CliError::wrong(format!("{option}: {error}"));
     if let Some(faces) = &kind.cube_faces {
         let faces = layout::cube_faces(faces).map_err(|error| wrong("--cube-faces", error))?;

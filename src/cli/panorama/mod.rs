@@ -7,6 +7,7 @@ mod args;
 mod fill_sky;
 mod merge;
 mod photographed;
+mod stitch;
 mod summary;
 mod written;
 
@@ -16,6 +17,7 @@ pub use self::args::Args;
 use self::args::{Source, Wishes};
 use self::fill_sky::fill_sky;
 use self::photographed::{mapped, photographed};
+use self::stitch::stitch;
 use self::summary::{summary, text};
 use self::written::{ending, write};
 use super::outputs::{check_ending, check_outputs, write_png};
@@ -38,6 +40,7 @@ pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
             found
         }
         Source::Photographs => photographed(&wishes, &mut warnings, global)?,
+        Source::Overlapping => stitch(&wishes, &mut warnings, global)?,
         Source::Map(layout) => mapped(&wishes, layout, &mut warnings)?,
         Source::Faces(faces) => {
             mapped(&wishes, Layout::Cube(CubeLayout::Strip, faces), &mut warnings)?
@@ -62,7 +65,7 @@ pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
         write_png(path, &tone::display(&panorama.radiance, shown, ToneCurve::REINHARD))?;
     }
     written::beside(&wishes, &panorama)?;
-    let mut summary = summary(&wishes, &panorama, size, found.ball.as_ref(), sky, warnings);
+    let mut summary = summary(&wishes, &panorama, size, &found, sky, warnings);
     summary.merged = merged;
     for warning in &summary.warnings {
         global.warn(warning);

@@ -37,6 +37,8 @@ pub(super) struct Photographed {
 
 /// Which direction each pixel of a picture showed.
 pub(super) enum Seen {
+    /// Several pictures of which none is told apart.
+    Together,
     /// Of one picture.
     Picture { mapping: Box<dyn Mapping>, size: (usize, usize), mapping_from_world: DMat3 },
     /// Of several: pixels per degree, as a panorama in all channels.

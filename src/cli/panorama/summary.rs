@@ -9,9 +9,9 @@ use serde::Serialize;
 use super::args::Wishes;
 use super::fill_sky::SkySummary;
 use super::merge::{self, Merged};
+use super::photographed::Photographed;
 use crate::bracket::Validity;
 use crate::conventions::luminance;
-use crate::probe::find::BallImage;
 use crate::probe::{Panorama, clipped_regions};
 
 /// What came out, for people and machines.
@@ -27,7 +27,9 @@ pub(super) struct Summary {
     pub(super) filled: f64,
     /// The clear sky that fills what was not seen above the horizon.
     pub(super) sky: Option<SkySummary>,
-    /// Irradiance on a level surface, the panorama's unit.
+    /// What a value of 1 means.
+    pub(super) unit: String,
+    /// Irradiance on a level surface, the panorama's unit times sr.
     pub(super) irradiance_up: [f32; 3],
     pub(super) clipped: Vec<ClippedSummary>,
     /// How several panoramas became one.
@@ -59,7 +61,7 @@ pub(super) fn summary(
     wishes: &Wishes,
     panorama: &Panorama,
     (width, height): (usize, usize),
-    found: Option<&BallImage>,
+    found: &Photographed,
     sky: Option<SkySummary>,
     mut warnings: Vec<String>,
 ) -> Summary {
@@ -80,7 +82,7 @@ pub(super) fn summary(
         mapping: wishes.args.further.to.clone(),
         width,
         height,
-        ball: found.map(|b| BallSummary {
+        ball: found.ball.as_ref().map(|b| BallSummary {
             centre_px: b.centre_px.to_array(),
             radius_px: b.radius_px,
             sigma_px: b.sigma_px,
@@ -90,6 +92,7 @@ pub(super) fn summary(
         }),
         filled: panorama.share(Validity::Filled),
         sky,
+        unit: found.unit.clone(),
         irradiance_up: panorama.irradiance(DVec3::Y).to_array(),
         clipped: regions
             .iter()
@@ -119,7 +122,7 @@ pub(super) fn text(summary: &Summary) -> String {
         ));
     }
     let [r, g, b] = summary.irradiance_up;
-    lines.push(format!("  irradiance from above {r:.4} {g:.4} {b:.4} (linear value / exposure)"));
+    lines.push(format!("  irradiance from above {r:.4} {g:.4} {b:.4}; 1 is {}", summary.unit));
     if summary.filled > 0.0 {
         lines.push(format!(
             "  not seen and filled: {:.1} % of all directions",

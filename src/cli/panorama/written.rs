@@ -126,6 +126,8 @@ fn quality_layers(
         Seen::Picture { mapping, size, mapping_from_world } => {
             (mapping, *size, *mapping_from_world)
         }
+        // Refused before anything was read.
+        Seen::Together => return Ok(Vec::new()),
         Seen::Several(px_per_deg) => {
             let laid_out = file::laid_out(px_per_deg, layout, size)?;
             let samples = laid_out.light.mean.map(|all| all.x);

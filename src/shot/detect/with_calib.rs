@@ -1,14 +1,15 @@
 //! Pictures and arrays to and from `platelight-calib`.
 
-use glam::DVec2;
+use glam::{DMat3, DVec2};
 use platelight_calib::board::{Checkerboard, find_checkerboard};
 use platelight_calib::calibrate::{View, Warning as LensWarning};
 use platelight_calib::charuco::{Charuco, find_charuco};
 use platelight_calib::tag::{Family, Placed, find_tags};
 use platelight_calib::{Model, Picture};
 
-use super::{BoardSighting, Calibrated, DetectError, Rung, TagSighting, luma};
+use super::{BoardSighting, Calibrated, DetectError, Rung, TagSighting, TurnedCamera, luma};
 use crate::camera::{Distortion, Lens};
+use crate::conventions::OPENCV_FROM_CAMERA;
 use crate::photo::{Image, Photo};
 use crate::report::Warning;
 use crate::shot::camera_keys::Board;
@@ -43,6 +44,23 @@ fn picture(luma: &Image<f32>) -> Result<Picture<'_>, DetectError> {
             "{w} × {h} px with its values cannot be searched: sides up to 32767 px and finite values can"
         ))
     })
+}
+
+/// Lenses and turns of the cameras of overlapping photographs; `None` where one overlaps with no other.
+pub fn turned_cameras(lumas: &[Image<f32>]) -> Result<Vec<Option<TurnedCamera>>, DetectError> {
+    let pictures: Vec<Picture> = lumas.iter().map(picture).collect::<Result<_, _>>()?;
+    let found = platelight_calib::stitch::stitch(&pictures).map_err(not_found)?;
+    let turned = |camera: platelight_calib::stitch::TurnedCamera| {
+        let rows = camera.panorama_from_camera;
+        let panorama_from_camera = DMat3::from_cols_array_2d(&rows).transpose();
+        let [cx, cy] = camera.principal_px;
+        let (fx, fy) = (camera.focal_px, camera.focal_px);
+        let lens = Lens { fx, fy, cx, cy, distortion: Distortion::None, covariance: None };
+        // Both axes are OpenCV's, and ours are the same change of each.
+        let world_from_camera = OPENCV_FROM_CAMERA * panorama_from_camera * OPENCV_FROM_CAMERA;
+        TurnedCamera { lens, world_from_camera }
+    };
+    Ok(found.into_iter().map(|camera| camera.map(turned)).collect())
 }
 
 /// Finds a board in a photograph.

@@ -1,10 +1,19 @@
 //! Answers of a build without OpenCV.
 
-use super::{BoardSighting, Calibrated, DetectError, TagSighting};
+use super::{BoardSighting, Calibrated, DetectError, TagSighting, TurnedCamera};
 use crate::camera::Lens;
-use crate::photo::Photo;
+use crate::photo::{Image, Photo};
 use crate::shot::camera_keys::Board;
 use glam::DVec2;
+
+/// Lenses and turns of the cameras of overlapping photographs.
+pub fn turned_cameras(_: &[Image<f32>]) -> Result<Vec<Option<TurnedCamera>>, DetectError> {
+    Err(DetectError::NotFound(
+        "stitching needs OpenCV, and this platelight was built without it; build with the feature \
+         `opencv`, or stitch in another program and give the panorama"
+            .into(),
+    ))
+}
 
 /// Finds a board in a photograph.
 pub fn board(_: &Photo, _: &Board) -> Result<BoardSighting, DetectError> {
