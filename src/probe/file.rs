@@ -88,19 +88,19 @@ fn laid_out_by(
     size: (usize, usize),
     panorama_from_target: DMat3,
 ) -> Resampled {
-    let source = light(panorama);
     let same_size = target.wraps() && size == (panorama.width(), panorama.height());
     let columns = if same_size { moved_columns(panorama_from_target, size.0) } else { None };
     if let Some(columns) = columns {
         return Resampled {
             light: Radiance {
-                mean: with_columns(&source.mean, &columns),
-                variance: with_columns(&source.variance, &columns),
-                validity: with_columns(&source.validity, &columns),
+                mean: with_columns(&panorama.radiance, &columns),
+                variance: with_columns(&panorama.variance, &columns),
+                validity: with_columns(&panorama.validity, &columns),
             },
             coverage: with_columns(&panorama.coverage, &columns),
         };
     }
+    let source = light(panorama);
     let mapping = LatLong { width: panorama.width(), height: panorama.height() };
     let mut pictured = resample(&source, &mapping, target, size, panorama_from_target);
     if panorama.coverage.pixels().iter().all(|&seen| seen == 1.0) {
