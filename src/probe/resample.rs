@@ -40,7 +40,7 @@ pub fn to_lat_long<M: Mapping + ?Sized>(
 ) -> Panorama {
     let target = LatLong { width, height: width / 2 };
     let Resampled { light, coverage } =
-        resample(source, mapping, &target, (width, width / 2), mapping_from_panorama);
+        resample(source, mapping, target, (width, width / 2), mapping_from_panorama);
     let mut panorama = Panorama::from_radiance(light.mean);
     panorama.variance = light.variance;
     panorama.validity = light.validity;
