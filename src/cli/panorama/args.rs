@@ -44,7 +44,7 @@ Examples:
       --cube-faces=opengl -o pano.exr --axes axes.png
   platelight panorama ball_left.exr ball_right.exr --merge -o both.exr")]
 pub struct Args {
-    /// The photographs of one bracket, or one picture
+    /// The photographs of one bracket, one picture, or the several that --stitch and --cube-faces take
     #[arg(required = true, value_name = "PHOTO")]
     pub(super) photos: Vec<PathBuf>,
     /// The EXR to write, or Radiance HDR if the name ends in .hdr: light alone, without layers
