@@ -44,7 +44,7 @@ Examples:
       --cube-faces=opengl -o pano.exr --axes axes.png
   platelight panorama ball_left.exr ball_right.exr --merge -o both.exr")]
 pub struct Args {
-    /// The photographs of one bracket, one picture, or the several that --stitch and --cube-faces take
+    /// The photographs of one bracket, one picture, or the several of --merge, --stitch and --cube-faces
     #[arg(required = true, value_name = "PHOTO")]
     pub(super) photos: Vec<PathBuf>,
     /// The EXR to write, or Radiance HDR if the name ends in .hdr: light alone, without layers
