@@ -25,7 +25,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     let plate = photo::read(&shot.plate.file, &ReadOptions::default())?;
 
     // The lens: as many of its terms as the boards can hold.
-    let found = calibrate::find_lens(&shot.camera.source, &plate)?;
+    let size = [plate.linear.width(), plate.linear.height()];
+    let found = calibrate::find_lens(&shot.camera.source, size, &plate.facts, &plate.path)?;
     let sigmas = found.lens.sigmas().unwrap_or_else(|| vec![f64::NAN; 4]);
     println!("focal length   {:.2} ± {:.2} px", found.lens.fx, sigmas[0]);
     println!("principal point {:.2}, {:.2} px", found.lens.cx, found.lens.cy);

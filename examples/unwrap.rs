@@ -35,7 +35,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let ProbeSource::Ball(ball) = &shot.probe.source else {
         return Err("the shot has no mirror ball".into());
     };
-    let read = |path: &PathBuf| photo::read(path, &ReadOptions::default());
+    let read = |path: &PathBuf| photo::read_encoded(path, &ReadOptions::default());
 
     // Merge the bracket into radiance, with its variance.
     let photos = pictures::expand(&ball.photos)?.iter().map(read).collect::<Result<Vec<_>, _>>()?;
@@ -70,7 +70,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     println!("ball: radius {:.1} ± {:.1} px", found.radius_px, found.sigma_px);
     println!("clipped lights: {}", clipped_regions(&panorama).len());
 
-    let plate = read(&shot.plate.file)?;
+    let plate = photo::read(&shot.plate.file, &ReadOptions::default())?;
     let keys = &shot.plate;
     let scale = exposures::plate_scale(&plate, &keys.exposure, keys.relative_exposure)?.factor;
     let up = panorama.irradiance(DVec3::Y) * scale as f32;

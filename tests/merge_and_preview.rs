@@ -64,6 +64,46 @@ fn a_bracket_becomes_radiance_and_a_picture_of_it() {
 }
 
 #[test]
+fn a_folder_becomes_one_picture_for_each_bracket_and_a_bad_one_stops_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let photos = folder.path().join("photos");
+    fs::create_dir(&photos).unwrap();
+    bracket_in(&photos);
+    for k in 0..3 {
+        fs::copy(photos.join(format!("b{k}.png")), photos.join(format!("c{k}.png"))).unwrap();
+    }
+    fs::write(photos.join("notes.txt"), "not a photograph").unwrap();
+    let out = folder.path().join("merged");
+    let arguments =
+        ["merge", text(&photos), "--group", "3", "--times", "1/4,1,4", "--out", text(&out)];
+    let output = platelight(&arguments);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(said.contains("bracket of 3: c0.png c1.png c2.png"), "{said}");
+    assert_eq!(fs::read(out.join("b0.exr")).unwrap(), fs::read(out.join("c0.exr")).unwrap());
+
+    // One bracket cut short: the other is merged, and the exit code tells.
+    let whole = fs::read(photos.join("c1.png")).unwrap();
+    fs::write(photos.join("c1.png"), &whole[..whole.len() / 2]).unwrap();
+    fs::remove_dir_all(&out).unwrap();
+    let output = platelight(&arguments);
+    assert_eq!(output.status.code(), Some(1), "{}", String::from_utf8_lossy(&output.stderr));
+    assert!(String::from_utf8_lossy(&output.stderr).contains("c1.png"));
+    assert!(out.join("b0.exr").exists() && !out.join("c0.exr").exists());
+
+    // Without exposures nobody can tell the brackets apart; four do not divide six.
+    for (extra, word) in [(vec![], "exposure time"), (vec!["--group", "4"], "6 photographs")] {
+        let out = folder.path().join("nothing");
+        let mut arguments = vec!["merge", text(&photos), "--out", text(&out)];
+        arguments.extend(extra);
+        let output = platelight(&arguments);
+        assert_eq!(output.status.code(), Some(2));
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert!(said.contains(word) && !out.exists(), "{said}");
+    }
+}
+
+#[test]
 fn wrong_requests_exit_with_2_name_the_file_and_write_nothing() {
     let folder = tempfile::tempdir().unwrap();
     let photos = bracket_in(folder.path());

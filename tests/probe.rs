@@ -82,7 +82,7 @@ impl Scene {
             .iter()
             .map(|s| {
                 let file = self.folder.join(s["file"].as_str().unwrap());
-                photo::read(&file, &ReadOptions::default()).unwrap()
+                photo::read_encoded(&file, &ReadOptions::default()).unwrap()
             })
             .collect();
         let frames: Vec<Frame> = photos

@@ -53,7 +53,9 @@ fn focal_length_and_poses_of_the_truth_scenes() {
         let truth: serde_json::Value = serde_json::from_str(&truth).expect("JSON");
         let plate = photo::read(&folder.join("plate.png"), &ReadOptions::default()).expect("plate");
 
-        let found = calibrate::find_lens(&shot.camera.source, &plate).expect("a lens");
+        let size = [plate.linear.width(), plate.linear.height()];
+        let found = calibrate::find_lens(&shot.camera.source, size, &plate.facts, &plate.path)
+            .expect("a lens");
         let sigma = found.lens.sigmas().expect("measured");
         eprintln!(
             "{scene}: {} · σ_proj {:.3} px · rms {:.3} px",

@@ -9,9 +9,9 @@ use std::path::PathBuf;
 
 use rayon::prelude::*;
 
-use super::merge::Layer;
+use super::layer::Layer;
 use super::{BracketError, Warning};
-use crate::photo::{Facts, Format, Photo};
+use crate::photo::{Encoded, Facts, Format};
 
 /// Exposure t·(ISO/100)/N² of a photograph: linear value = exposure × radiance (up to the camera's
 /// own constant). `None` if EXIF lacks the time, the f-number or the ISO.
@@ -25,7 +25,7 @@ pub fn exposure(facts: &Facts) -> Option<f64> {
 ///
 /// # Errors
 /// Names the first frame without, what is missing, and the remedy.
-pub fn from_exif(photos: &[Photo]) -> Result<Vec<f64>, BracketError> {
+pub fn from_exif(photos: &[Encoded]) -> Result<Vec<f64>, BracketError> {
     photos
         .iter()
         .map(|photo| {
@@ -44,7 +44,7 @@ pub fn from_exif(photos: &[Photo]) -> Result<Vec<f64>, BracketError> {
 ///
 /// # Errors
 /// A wrong number of times, or EXIF in some frames only.
-pub fn from_times(photos: &[Photo], times_s: &[f64]) -> Result<Vec<f64>, BracketError> {
+pub fn from_times(photos: &[Encoded], times_s: &[f64]) -> Result<Vec<f64>, BracketError> {
     if times_s.len() != photos.len() {
         return Err(BracketError::TimesCount { times: times_s.len(), photos: photos.len() });
     }
@@ -120,7 +120,8 @@ pub fn parse_time(text: &str) -> Result<f64, BracketError> {
     time.filter(|t| TIMES_S.contains(t)).ok_or_else(|| BracketError::BadTime { text: text.into() })
 }
 
-fn missing(facts: &Facts) -> String {
+/// Names what an exposure needs and `facts` lack.
+pub(super) fn missing(facts: &Facts) -> String {
     let mut missing = Vec::new();
     for (known, name) in [
         (facts.exposure_s.is_some(), "exposure time"),
@@ -142,22 +143,19 @@ const WARN_ABOVE: f64 = 0.05;
 const WRONG_ABOVE: f64 = 0.25;
 /// Pixels two frames must share for a ratio.
 const MIN_SHARED_PIXELS: usize = 1000;
+/// About this many pixels of larger frames are looked at.
+const MOST_SHARED_PIXELS: usize = 1 << 19;
 /// Brightness range below which both frames are mostly noise.
 const DARKEST_SHARED: f32 = 0.01;
 /// A ratio that varies by more than this over brightness is a tone curve, not an exposure.
 const CURVE_SPREAD: f64 = 0.10;
 
 /// Whether neighbouring frames show a tone curve that is not the files' stated one.
-pub(super) fn show_tone_curve(
-    layers: &[Layer],
-    photos: &[&Photo],
-    labels: &[f64],
-    order: &[usize],
-) -> bool {
+pub(super) fn show_tone_curve(layers: &[Layer], labels: &[f64], order: &[usize]) -> bool {
     order.windows(2).any(|pair| {
         let label = (labels[pair[1]] / labels[pair[0]]).ln();
         ratio(&layers[pair[0]], &layers[pair[1]])
-            .is_some_and(|ratio| ratio.is_curve(label, photos[pair[0]]))
+            .is_some_and(|ratio| ratio.is_curve(label, layers[pair[0]].photo))
     })
 }
 
@@ -168,6 +166,8 @@ const CURVE_SLOPES: std::ops::RangeInclusive<f64> = 0.4..=2.5;
 struct Ratio {
     /// ln(longer/shorter).
     log: f64,
+    /// Its standard error.
+    sigma: f64,
     /// Largest difference of the log ratio between brightness bands.
     spread: f64,
 }
@@ -177,11 +177,18 @@ impl Ratio {
     ///
     /// It does where the ratio depends on brightness; and in a JPEG that a camera developed, whose
     /// times the camera itself wrote, more likely than a label that is 25 % wrong.
-    fn is_curve(&self, label: f64, short: &Photo) -> bool {
+    fn is_curve(&self, label: f64, short: &Encoded) -> bool {
         let by_camera = short.format == Format::Jpeg && short.facts.make.is_some();
         self.spread > CURVE_SPREAD
             || by_camera && (self.log - label).abs() > (1.0 + WRONG_ABOVE).ln()
     }
+}
+
+/// Exposures as the pixels have them.
+pub(super) struct Refined {
+    pub exposures: Vec<f64>,
+    /// σ of each frame's measured ratio to the next shorter one, relative; `None` where none was measured.
+    pub sigma: Vec<Option<f64>>,
 }
 
 /// Corrects labels from the pixels; `order` lists the frames by rising label. What it gives for
@@ -191,23 +198,23 @@ impl Ratio {
 /// A label that is more than 25 % away from the pixels.
 pub(super) fn refine(
     layers: &[Layer],
-    photos: &[&Photo],
     labels: &[f64],
     order: &[usize],
     warnings: &mut Vec<Warning>,
-) -> Result<Vec<f64>, BracketError> {
+) -> Result<Refined, BracketError> {
     let mut log_exposure = vec![0.0; labels.len()];
+    let mut sigma = vec![None; labels.len()];
     let mut corrected = false;
     for pair in order.windows(2) {
         let (short, long) = (pair[0], pair[1]);
         let label = (labels[long] / labels[short]).ln();
-        let name = |k: usize| photos[k].path.clone();
+        let name = |k: usize| layers[k].photo.path.clone();
         let mut log = label;
         match ratio(&layers[short], &layers[long]) {
             None => {
                 warnings.push(Warning::RatioUnchecked { short: name(short), long: name(long) });
             }
-            Some(ratio) if ratio.is_curve(label, photos[short]) => {
+            Some(ratio) if ratio.is_curve(label, layers[short].photo) => {
                 // A tone curve of slope γ in log-log turns a ratio r into r^γ.
                 let slope = ratio.log / label.max(0.02);
                 if !CURVE_SLOPES.contains(&slope) {
@@ -234,8 +241,11 @@ pub(super) fn refine(
                         measured: ratio.log.exp(),
                     });
                 }
+                sigma[long] = Some(ratio.sigma);
                 if off > SAME_AS_LABEL {
-                    log = ratio.log;
+                    let thirds = whole_thirds(label);
+                    let is_thirds = (ratio.log - thirds).abs() <= SAME_AS_LABEL;
+                    log = if is_thirds { thirds } else { ratio.log };
                     corrected = true;
                 }
             }
@@ -243,13 +253,21 @@ pub(super) fn refine(
         log_exposure[long] = log_exposure[short] + log;
     }
     if !corrected {
-        return Ok(labels.to_vec());
+        return Ok(Refined { exposures: labels.to_vec(), sigma });
     }
     // Ratios leave one common factor free: the labels are right on average. Of the frames compared:
     // a copy's place in `log_exposure` was never filled.
     let mean_off =
         order.iter().map(|&k| labels[k].ln() - log_exposure[k]).sum::<f64>() / order.len() as f64;
-    Ok(log_exposure.iter().map(|e| (e + mean_off).exp()).collect())
+    let exposures = log_exposure.iter().map(|e| (e + mean_off).exp()).collect();
+    Ok(Refined { exposures, sigma })
+}
+
+/// A logarithm of a ratio of exposures, in whole thirds of a stop: shutters run in them, whatever round
+/// number is engraved (1/15 s is 1/16, 1/60 is 1/64, 1/125 is 1/128).
+fn whole_thirds(log: f64) -> f64 {
+    let third = std::f64::consts::LN_2 / 3.0;
+    (log / third).round() * third
 }
 
 fn wrong_label(short: PathBuf, long: PathBuf, label: f64, measured: f64) -> BracketError {
@@ -258,20 +276,22 @@ fn wrong_label(short: PathBuf, long: PathBuf, label: f64, measured: f64) -> Brac
 
 /// Median log ratio of two frames over pixels that both show well, and how it varies.
 fn ratio(short: &Layer, long: &Layer) -> Option<Ratio> {
+    let (w, h) = (long.photo.width, long.photo.height);
+    // A regular part is enough; an odd step does not fall into step with a power-of-two row.
+    let step = (w * h / MOST_SHARED_PIXELS).max(1) | 1;
     // Chosen by the longer frame only: choosing by the noisy one would favour its upward noise.
-    let mut logs: Vec<(f32, f64)> = (0..long.linear.height())
-        .into_par_iter()
-        .flat_map_iter(|y| {
-            let rows = (long.linear.row(y), short.linear.row(y));
-            let usable = (long.usable.row(y), short.usable.row(y));
-            (0..rows.0.len()).filter_map(move |x| {
-                // Green: the channel with most light and least interpolation.
-                let (a, b) = (rows.0[x].y, rows.1[x].y);
-                let usable = usable.0[x] && usable.1[x] && a > DARKEST_SHARED;
-                (usable && b > 0.0).then(|| (a, f64::from(a / b).ln()))
-            })
-        })
-        .collect();
+    let shared = |i: usize| {
+        let (x, y) = (i % w, i / w);
+        // Green: the channel with most light and least interpolation.
+        let a = long.usable(x, y)?.y;
+        if a <= DARKEST_SHARED {
+            return None;
+        }
+        let b = short.usable(x, y)?.y;
+        (b > 0.0).then(|| (a, f64::from(a / b).ln()))
+    };
+    let mut logs: Vec<(f32, f64)> =
+        (0..w * h).into_par_iter().step_by(step).filter_map(shared).collect();
     if logs.len() < MIN_SHARED_PIXELS {
         return None;
     }
@@ -283,6 +303,9 @@ fn ratio(short: &Layer, long: &Layer) -> Option<Ratio> {
         return None;
     }
     let log = median(logs.iter().map(|l| l.1).collect())?;
+    let scatter = 1.4826 * median(logs.iter().map(|l| (l.1 - log).abs()).collect())?;
+    // A median of normal values scatters 1.2533 times as much as their mean.
+    let sigma = 1.2533 * scatter / (logs.len() as f64).sqrt();
     logs.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
     const BANDS: usize = 5;
     let bands: Vec<f64> = logs
@@ -292,7 +315,7 @@ fn ratio(short: &Layer, long: &Layer) -> Option<Ratio> {
     let (low, high) = bands
         .iter()
         .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), &b| (low.min(b), high.max(b)));
-    Some(Ratio { log, spread: high - low })
+    Some(Ratio { log, sigma, spread: high - low })
 }
 
 /// The middle value; `None` of nothing.

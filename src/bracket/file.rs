@@ -158,15 +158,17 @@ fn class(number: f32) -> Option<Validity> {
 mod tests {
     use super::*;
     use crate::bracket::{Frame, MergeOptions, merge};
-    use crate::photo::Photo;
+    use crate::photo::{Photo, Samples};
 
     #[test]
     fn a_merged_bracket_survives_its_file_exactly() {
         let scene = Image::from_fn(40, 30, |x, y| Rgb::new(x as f32, y as f32, 0.5) / 50.0);
         let mut photo = Photo::from_linear(scene);
-        photo.clipped[(7, 3)] = true;
         photo.facts.focal_mm = Some(35.0);
         photo.facts.focal_35mm = Some(52.5);
+        let mut photo = photo.encoded();
+        let Samples::F32 { data, .. } = &mut photo.samples else { panic!("made of floats") };
+        data[(3 * 40 + 7) * 3] = f32::INFINITY;
         let frames = [Frame { photo: &photo, exposure: 1e-6 }];
         let merged = merge(&frames, &MergeOptions::default()).unwrap();
         let folder = tempfile::tempdir().unwrap();
@@ -187,9 +189,9 @@ mod tests {
             assert_eq!(class(odd), None, "{odd}");
         }
         // A plain picture has no variance: said, not guessed.
-        photo.linear[(0, 0)] = Rgb::ONE;
         let plain = folder.path().join("plain.hdr");
-        crate::photo::radiance_hdr::write(&plain, &photo.linear, Default::default()).unwrap();
+        let linear = Image::filled(4, 3, Rgb::ONE);
+        crate::photo::radiance_hdr::write(&plain, &linear, Default::default()).unwrap();
         assert!(read(&plain).is_err());
     }
 

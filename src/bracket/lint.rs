@@ -2,8 +2,13 @@
 
 use std::path::PathBuf;
 
+use rayon::prelude::*;
+
+use super::layer::{CLIPS, Layer, NO_DATA};
+use super::response::ResponseMethod;
+use super::warp::WarpKind;
 use super::{BracketError, Frame};
-use crate::photo::Photo;
+use crate::photo::Encoded;
 
 /// Something about a bracket a person should know; with its size where it has one.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -16,6 +21,10 @@ pub enum Warning {
     Gap { short: PathBuf, long: PathBuf, stops: f64 },
     #[error("{} and {} differ in {what}: {a_value} and {b_value}", a.display(), b.display())]
     Differs { a: PathBuf, b: PathBuf, what: &'static str, a_value: String, b_value: String },
+    #[error(
+        "the shutter times span {shutter:.1} stops, but ISO changes against them: the photographs differ by {exposure:.1} stops only, and the longest are noisier, not brighter (bracket at one ISO)"
+    )]
+    IsoCancels { shutter: f64, exposure: f64 },
     #[error("{}: {pixels} px ({:.2} %) are clipped in this shortest exposure, first at ({}, {}): their radiance is only a lower bound", path.display(), 100.0 * share, first.0, first.1)]
     ClippedInShortest { path: PathBuf, pixels: usize, share: f64, first: (usize, usize) },
     #[error("{}: {:.0} % of this longest exposure is black: the dark parts are only noise", path.display(), 100.0 * share)]
@@ -30,11 +39,14 @@ pub enum Warning {
     )]
     ToneCurve { short: PathBuf, long: PathBuf, label: f64, measured: f64, spread: f64 },
     #[error(
-        "the camera's tone curve is not sRGB (up to a factor {factor:.2}); it was recovered from the bracket, but a single photograph such as the plate is still read as sRGB"
+        "the camera's tone curve is not sRGB (up to a factor {factor:.2}); it was recovered from the bracket by {method} method, {} (off by {:.1} % on what was left out of the fit), but a single photograph such as the plate is still read as sRGB",
+        if *per_channel { "a curve for each channel" } else { "one curve for all channels" }, 100.0 * held_out
     )]
-    ResponseRecovered { factor: f64 },
-    #[error("{}: was moved by ({:.2}, {:.2}) px to lie on the others", path.display(), shift.0, shift.1)]
-    Moved { path: PathBuf, shift: (f64, f64) },
+    ResponseRecovered { factor: f64, method: ResponseMethod, per_channel: bool, held_out: f64 },
+    #[error("{}: was moved by {by} of up to {reach_px:.1} px to lie on the others", path.display())]
+    Moved { path: PathBuf, by: WarpKind, reach_px: f64 },
+    #[error("{pixels} px ({:.2} %) moved between the photographs, first at ({}, {}); each such place is taken from one photograph alone", 100.0 * share, first.0, first.1)]
+    Ghosts { pixels: usize, share: f64, first: (usize, usize) },
     #[error("{}: lies ({:.1}, {:.1}) px off the others, but moving it makes it fit no better; check for rotation or motion", path.display(), shift.0, shift.1)]
     NotAligned { path: PathBuf, shift: (f64, f64) },
     #[error(
@@ -49,10 +61,13 @@ impl Warning {
     pub fn asks(&self) -> bool {
         match self {
             Self::Gap { .. }
+            | Self::IsoCancels { .. }
             | Self::Differs { .. }
             | Self::BlackInLongest { .. }
             | Self::LabelOff { .. }
             | Self::ToneCurve { .. } => true,
+            // Noise and compression make some by chance.
+            Self::Ghosts { share, .. } => *share > 0.005,
             // In a frame that shares little with the others so small a shift is often chance.
             Self::NotAligned { shift: (x, y), .. } => x.hypot(*y) > 2.0,
             Self::SameExposure { .. }
@@ -68,6 +83,8 @@ impl Warning {
 
 /// Largest useful step of a bracket, stops (methods-capture C3, bracket plan).
 const MAX_STEP_STOPS: f64 = 3.0;
+/// Stops that ISO may take from a bracket before it is told.
+const CANCELLED_STOPS: f64 = 1.0;
 /// Share of black pixels in the longest frame from which on it is too short.
 const MAX_BLACK: f64 = 0.05;
 /// Linear value below which a pixel is black: about half a code of 8 bits at the foot of sRGB.
@@ -75,7 +92,7 @@ const BLACK: f32 = 1.5e-4;
 
 /// Checks sizes; later steps may index all frames alike.
 pub(super) fn same_size(frames: &[Frame]) -> Result<(), BracketError> {
-    let size = |photo: &Photo| (photo.linear.width(), photo.linear.height());
+    let size = |photo: &Encoded| (photo.width, photo.height);
     let Some(first) = frames.first() else { return Err(BracketError::NoFrames) };
     match frames.iter().find(|f| size(f.photo) != size(first.photo)) {
         Some(other) => Err(BracketError::SizesDiffer {
@@ -114,6 +131,20 @@ pub(super) fn facts(frames: &[Frame], order: &[usize], warnings: &mut Vec<Warnin
             })
         })
     };
+    let span = |of: &dyn Fn(&Frame) -> Option<f64>| -> Option<f64> {
+        let values = order.iter().map(|&k| of(&frames[k]).map(f64::log2));
+        let stops: Vec<f64> = values.collect::<Option<_>>()?;
+        let (low, high) =
+            stops.iter().fold((f64::MAX, f64::MIN), |(low, high), &s| (low.min(s), high.max(s)));
+        Some(high - low)
+    };
+    let shutter = span(&|frame| frame.photo.facts.exposure_s);
+    if let (Some(shutter), Some(exposure)) = (shutter, span(&|frame| Some(frame.exposure)))
+        && shutter - exposure > CANCELLED_STOPS
+        && differs("ISO", |f| f.iso).is_some()
+    {
+        warnings.push(Warning::IsoCancels { shutter, exposure });
+    }
     // Time is meant to change. ISO changes noise, aperture changes blur and vignetting, focal
     // length changes the picture itself.
     warnings.extend(differs("ISO", |f| f.iso));
@@ -122,22 +153,29 @@ pub(super) fn facts(frames: &[Frame], order: &[usize], warnings: &mut Vec<Warnin
 }
 
 /// What the pixels of the shortest and the longest frame say.
-pub(super) fn range(shortest: &Photo, longest: &Photo, warnings: &mut Vec<Warning>) {
-    let clipped = shortest.clipped.pixels();
-    if let Some(index) = clipped.iter().position(|&c| c) {
-        let pixels = clipped.iter().filter(|&&c| c).count();
-        let width = shortest.clipped.width();
+pub(super) fn range(shortest: &Layer, longest: &Layer, warnings: &mut Vec<Warning>) {
+    let (width, height) = (shortest.photo.width, shortest.photo.height);
+    let pixels = width * height;
+    let clips = |i: &usize| {
+        let state = shortest.state(i % width, i / width);
+        state & CLIPS != 0 && state & NO_DATA == 0
+    };
+    if let Some(first) = (0..pixels).find(clips) {
+        let clipped = (0..pixels).into_par_iter().filter(clips).count();
         warnings.push(Warning::ClippedInShortest {
-            path: shortest.path.clone(),
-            pixels,
-            share: pixels as f64 / clipped.len() as f64,
-            first: (index % width, index / width),
+            path: shortest.photo.path.clone(),
+            pixels: clipped,
+            share: clipped as f64 / pixels as f64,
+            first: (first % width, first / width),
         });
     }
-    let dark = longest.linear.pixels().iter().filter(|l| l.max_element() < BLACK).count();
-    let share = dark as f64 / clipped.len() as f64;
+    let dark = |i: &usize| {
+        let (x, y) = (i % width, i / width);
+        longest.state(x, y) & NO_DATA == 0 && longest.own_light(x, y).max_element() < BLACK
+    };
+    let share = (0..pixels).into_par_iter().filter(dark).count() as f64 / pixels as f64;
     if share > MAX_BLACK {
-        warnings.push(Warning::BlackInLongest { path: longest.path.clone(), share });
+        warnings.push(Warning::BlackInLongest { path: longest.photo.path.clone(), share });
     }
 }
 

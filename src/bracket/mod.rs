@@ -6,16 +6,23 @@
 mod align;
 pub mod exposure;
 pub mod file;
+mod ghosts;
+pub mod group;
+mod layer;
 mod lint;
 mod merge;
 mod noise;
 mod response;
 #[cfg(test)]
 mod simulation;
+mod stack;
+mod warp;
 
 pub use self::lint::Warning;
 pub use self::merge::{Frame, MergeOptions, Merged, ResponseSource, merge};
 pub use self::noise::Noise;
+pub use self::response::{Response, ResponseMethod};
+pub use self::warp::{Warp, WarpKind};
 
 use std::path::PathBuf;
 
@@ -57,6 +64,10 @@ pub enum BracketError {
     WrongLabel { short: PathBuf, long: PathBuf, label: f64, measured: f64 },
     #[error("{}: {pixels} pixels are not finite, the first at ({}, {}); repair the picture (NaN and infinity poison every sum of light)", path.display(), first.0, first.1)]
     NotFinite { path: PathBuf, pixels: u64, first: (usize, usize) },
+    #[error(
+        "{photos} photographs do not make brackets of {count}; give another count (--group), or name the files of each bracket"
+    )]
+    GroupCount { count: usize, photos: usize },
     #[error(transparent)]
     Photo(#[from] PhotoError),
 }

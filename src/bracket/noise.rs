@@ -7,8 +7,6 @@
 //! both take in what the compression adds, so FW is lower than the sensor's; what all frames share
 //! (chroma subsampling, a lens's glare) no difference shows, and σ does not contain it.
 
-use crate::photo::{Encoding, Samples};
-
 /// Noise of a camera at one setting.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Noise {
@@ -27,39 +25,6 @@ impl Noise {
     /// Variance of a linear value `y` from photons and read-out, without quantisation.
     pub fn variance(&self, y: f64) -> f64 {
         y.max(0.0) / self.full_well_e + (self.read_noise_e / self.full_well_e).powi(2)
-    }
-}
-
-/// Step between neighbouring codes of a file, as a function of linear value.
-#[derive(Clone, Debug)]
-pub(super) enum Quantisation {
-    /// Floats: no steps.
-    None,
-    /// A known curve with so many codes from black to white.
-    Curve { encoding: Encoding, codes: f64 },
-}
-
-impl Quantisation {
-    pub fn new(samples: &Samples, encoding: Encoding) -> Self {
-        match samples {
-            Samples::U8 { .. } => Self::Curve { encoding, codes: 255.0 },
-            Samples::U16 { .. } => Self::Curve { encoding, codes: 65535.0 },
-            Samples::F16 { .. } | Samples::F32 { .. } => Self::None,
-        }
-    }
-
-    /// Variance of rounding at linear value `y`: step²/12.
-    pub fn variance(&self, y: f64) -> f64 {
-        let step = match self {
-            Self::None => 0.0,
-            Self::Curve { encoding, codes } => {
-                let code = f64::from(encoding.transfer.encode(y.max(0.0) as f32)) * codes;
-                let code = code.min(*codes);
-                let decode = |code: f64| f64::from(encoding.transfer.decode((code / codes) as f32));
-                decode((code + 0.5).min(*codes)) - decode((code - 0.5).max(0.0))
-            }
-        };
-        step * step / 12.0
     }
 }
 

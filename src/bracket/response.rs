@@ -1,101 +1,193 @@
 //! The camera's own tone curve, recovered from a bracket whose exposures are known.
 //!
-//! Debevec & Malik 1997, eq. 3: ln f⁻¹(z) = g(z) for 256 codes and the log radiance of sample pixels
-//! minimise Σ w(z)²·(g(z) − ln E − ln t)² + λ² Σ (w(z)·g″(z))², one curve for all channels. The pixel
-//! unknowns each touch only their own equations and are eliminated, which leaves 256 × 256.
-//! A bracket alone fixes g up to a factor; it is set so that the code that sRGB gives to 18 % grey
-//! keeps that meaning, because the plate beside the bracket is read as sRGB.
+//! Three methods on the same sample pixels, each with one curve for all channels and one for each;
+//! [`recover`] takes the one that explains best what it was not fitted to.
+//! - Debevec & Malik 1997, eq. 3: ln f⁻¹(z) = g(z) for 256 codes and the log radiance of sample pixels
+//!   minimise Σ w(z)²·(g(z) − ln E − ln t)² + λ² Σ (w(z)·g″(z))². The pixel unknowns each touch only
+//!   their own equations and are eliminated, which leaves 256 × 256.
+//! - Robertson, Borman & Stevenson 2003: f⁻¹(z) is the mean of t·E over the samples of code z, E their
+//!   weighted mean, in turns.
+//! - Mitsunaga & Nayar 1999, eq. 10, with the ratios known: f⁻¹ a polynomial whose values in two frames
+//!   have the ratio of their exposures.
+//!
+//! A bracket alone fixes the curve up to a factor; it is set so that the code that sRGB gives to 18 %
+//! grey keeps that meaning, because the plate beside the bracket is read as sRGB.
 //! Needs trusted exposure ratios: a wrong exponent in them is one in the curve (Grossberg & Nayar 2003).
 
 use nalgebra::{DMatrix, DVector};
 
-use super::merge::Layer;
-use crate::photo::{Photo, Samples, ToneCurve, colour::srgb_decode};
+use super::layer::{Layer, NO_DATA};
+use crate::photo::{Samples, ToneCurve, colour::srgb_decode};
 
-/// Smoothness λ and number of sample pixels (methods-capture C3: 0.2 % on an S-curve).
+/// How a response was recovered.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ResponseMethod {
+    DebevecMalik,
+    Robertson,
+    MitsunagaNayar,
+}
+
+impl std::fmt::Display for ResponseMethod {
+    fn fmt(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::DebevecMalik => "Debevec and Malik's",
+            Self::Robertson => "Robertson's",
+            Self::MitsunagaNayar => "Mitsunaga and Nayar's",
+        })
+    }
+}
+
+/// A camera's tone curve, recovered from a bracket.
+#[derive(Clone, Debug)]
+pub struct Response {
+    /// Of red, green and blue.
+    pub curves: [ToneCurve; 3],
+    /// Whether each channel has its own: then each is a measurement of its own too, and one that is not
+    /// clipped holds whatever the others do (film scans).
+    pub per_channel: bool,
+    pub method: ResponseMethod,
+    /// Deviation of the log radiance by this curve of samples that were left out of the fit, by bands of codes.
+    pub held_out: f64,
+}
+
+impl Response {
+    /// Largest factor between these curves and sRGB over codes 20…240.
+    pub fn distance_from_srgb(&self) -> f64 {
+        self.curves.iter().map(ToneCurve::distance_from_srgb).fold(1.0, f64::max)
+    }
+}
+
+/// Smoothness λ of Debevec and Malik's curve for a thousand samples (methods-capture C3: 0.2 % on an S-curve);
+/// λ² grows with their number, or the curve would follow their noise.
 const SMOOTHNESS: f64 = 50.0;
-const SAMPLES: usize = 1000;
-/// Codes of a neighbour may differ this much: samples lie away from edges. The first that gives
-/// enough samples is taken; a small or noisy picture has no flatter places.
-const FLAT_CODES: [u8; 3] = [2, 4, 8];
+/// Sample pixels of each channel, at most. Many, from anywhere: a thousand from flat places alone, which
+/// methods-capture C3 asks for, are mostly dark ones in a real bracket, and put the red of Debevec's church
+/// 0.041 stops off where ten thousand put it 0.027.
+const SAMPLES: usize = 10_000;
 /// Fewer say too little about 256 codes.
-const FEWEST_SAMPLES: usize = SAMPLES / 4;
+const FEWEST_SAMPLES: usize = 250;
+/// From this weight on a code counts where curves are compared, by bands of so many codes that hold so many.
+const LEAST_JUDGED: f64 = 16.0;
+const BAND: usize = 16;
+const FEWEST_IN_BAND: usize = 20;
+/// Parts into which the samples fall; each is left out of a fit once.
+const FOLDS: usize = 4;
+/// Highest power of Mitsunaga and Nayar's polynomial.
+const DEGREE: usize = 7;
 /// sRGB code of 18 % grey, where the curve is anchored.
 const GREY_CODE: usize = 118;
 
-/// Recovers the response; `None` if the files are not 8-bit RGB or show too little.
+/// Codes of one pixel's channel in every frame.
+type Sample = Vec<u8>;
+
+/// Recovers the response; `None` if the files are not 8-bit RGB or show too little. `one_curve`: all
+/// channels must share it.
 pub(super) fn recover(
-    photos: &[&Photo],
     layers: &[Layer],
     exposures: &[f64],
     order: &[usize],
-) -> Option<ToneCurve> {
-    let codes = Codes::new(photos, layers, order)?;
-    let samples = FLAT_CODES
-        .iter()
-        .map(|&flat| codes.samples(flat))
-        .find(|samples| samples.len() >= FEWEST_SAMPLES)?;
+    one_curve: bool,
+) -> Option<Response> {
+    let codes = Codes::new(layers, order)?;
+    let samples = [0, 1, 2].map(|channel| codes.samples(channel));
+    if samples.iter().any(|channel| channel.len() < FEWEST_SAMPLES) {
+        return None;
+    }
     let logs: Vec<f64> = order.iter().map(|&k| exposures[k].ln()).collect();
-    solve(&samples, &logs).and_then(anchored)
+    let together: Vec<Sample> = interleaved(&samples);
+    let methods =
+        [ResponseMethod::DebevecMalik, ResponseMethod::Robertson, ResponseMethod::MitsunagaNayar];
+    let judged = methods.map(|method| {
+        let shared = held_out(&together, &logs, method);
+        let apart = samples.each_ref().map(|channel| held_out(channel, &logs, method));
+        (method, shared, apart)
+    });
+    let each = |apart: &[HeldOut; 3]| HeldOut {
+        mean: apart.iter().map(|a| a.mean).sum::<f64>() / 3.0,
+        sigma: apart.iter().map(|a| a.sigma * a.sigma).sum::<f64>().sqrt() / 3.0,
+    };
+    let (method, shared) = first_good(judged.iter().map(|j| (j.0, j.1)))?;
+    let best_apart = first_good(judged.iter().map(|j| (j.0, each(&j.2))))?;
+    // One curve for all, unless one for each explains more than the scatter of the parts allows.
+    if best_apart.1.clearly_below(&shared) && !one_curve {
+        let curve = |channel: usize| anchored(solve(&samples[channel], &logs, best_apart.0)?);
+        if let (Some(r), Some(g), Some(b)) = (curve(0), curve(1), curve(2)) {
+            let (method, held_out) = (best_apart.0, best_apart.1.mean);
+            return Some(Response { curves: [r, g, b], per_channel: true, method, held_out });
+        }
+    }
+    let curve = anchored(solve(&together, &logs, method)?)?;
+    let curves = [curve.clone(), curve.clone(), curve];
+    Some(Response { curves, per_channel: false, method, held_out: shared.mean })
+}
+
+/// The first method that no later one beats clearly; `None` if none could be fitted.
+fn first_good(
+    judged: impl Iterator<Item = (ResponseMethod, HeldOut)>,
+) -> Option<(ResponseMethod, HeldOut)> {
+    judged
+        .filter(|(_, held_out)| held_out.mean.is_finite())
+        .reduce(|best, next| if next.1.clearly_below(&best.1) { next } else { best })
+}
+
+/// One list of the channels' samples, in turns.
+fn interleaved(samples: &[Vec<Sample>; 3]) -> Vec<Sample> {
+    let longest = samples.iter().map(Vec::len).max().unwrap_or(0);
+    (0..longest)
+        .flat_map(|i| samples.iter().filter_map(move |channel| channel.get(i)))
+        .cloned()
+        .collect()
 }
 
 /// The frames' 8-bit codes on one grid.
 struct Codes<'a> {
-    frames: Vec<(&'a [u8], usize)>,
-    /// Whole-pixel shift of each frame.
-    shifts: Vec<(i64, i64)>,
-    width: i64,
-    height: i64,
+    layers: Vec<&'a Layer<'a>>,
+    data: Vec<(&'a [u8], usize)>,
+    width: usize,
+    height: usize,
 }
 
 impl<'a> Codes<'a> {
-    fn new(photos: &[&'a Photo], layers: &[Layer], order: &[usize]) -> Option<Self> {
-        let frames = order
-            .iter()
-            .map(|&k| match &photos[k].samples {
-                Samples::U8 { channels, data } if *channels >= 3 => {
-                    Some((data.as_slice(), *channels))
-                }
-                _ => None,
-            })
-            .collect::<Option<Vec<_>>>()?;
-        let shifts = order.iter().map(|&k| layers[k].whole_shift()).collect();
-        let size = &photos[order[0]].linear;
-        Some(Self { frames, shifts, width: size.width() as i64, height: size.height() as i64 })
+    fn new(layers: &'a [Layer], order: &[usize]) -> Option<Self> {
+        let layers: Vec<&Layer> = order.iter().map(|&k| &layers[k]).collect();
+        let codes = |layer: &&'a Layer| match &layer.photo.samples {
+            Samples::U8 { channels, data } if *channels >= 3 => Some((data.as_slice(), *channels)),
+            _ => None,
+        };
+        let data = layers.iter().map(codes).collect::<Option<Vec<_>>>()?;
+        let (width, height) = (layers[0].photo.width, layers[0].photo.height);
+        Some(Self { layers, data, width, height })
     }
 
-    /// The code of a frame at a pixel of the reference, if it lies on a flat place there.
-    fn flat_code(&self, k: usize, x: i64, y: i64, channel: usize, flat: u8) -> Option<u8> {
-        let (x, y) = (x + self.shifts[k].0, y + self.shifts[k].1);
-        if x < 2 || y < 2 || x >= self.width - 2 || y >= self.height - 2 {
+    /// The code of a frame at a pixel of the grid, if it has one there.
+    fn code(&self, k: usize, x: usize, y: usize, channel: usize) -> Option<u8> {
+        let at = self.layers[k].warp.apply(glam::DVec2::new(x as f64, y as f64)).round();
+        let inside = at.x >= 0.0 && at.y >= 0.0;
+        if !(inside && at.x < self.width as f64 && at.y < self.height as f64) {
             return None;
         }
-        let (data, channels) = self.frames[k];
-        let at = |x: i64, y: i64| data[(y * self.width + x) as usize * channels + channel];
-        let code = at(x, y);
-        let is_flat = [(2, 0), (-2, 0), (0, 2), (0, -2)]
-            .iter()
-            .all(|&(dx, dy)| at(x + dx, y + dy).abs_diff(code) <= flat);
-        is_flat.then_some(code)
+        let (x, y) = (at.x as usize, at.y as usize);
+        let (data, channels) = self.data[k];
+        let shows = self.layers[k].state(x, y) & NO_DATA == 0;
+        shows.then(|| data[(y * self.width + x) * channels + channel])
     }
 
     /// Pixels spread over the codes of the middle frame: each a code for every frame.
-    fn samples(&self, flat: u8) -> Vec<Vec<u8>> {
+    fn samples(&self, channel: usize) -> Vec<Sample> {
         const BANDS: usize = 16;
-        let middle = self.frames.len() / 2;
+        let middle = self.data.len() / 2;
         let mut bands = vec![Vec::new(); BANDS];
         // A scattered order (golden-ratio steps) fills the bands from all over the picture.
         let n = (self.width * self.height) as u64;
         let step = ((n as f64 * 0.618_033_988_75) as u64) | 1;
         let mut at = 0;
-        for i in 0..n.min(400_000) {
+        for _ in 0..n.min(200_000) {
             at = (at + step) % n;
-            let (x, y) = ((at % self.width as u64) as i64, (at / self.width as u64) as i64);
-            let channel = (i % 3) as usize;
-            let codes: Option<Vec<u8>> =
-                (0..self.frames.len()).map(|k| self.flat_code(k, x, y, channel, flat)).collect();
+            let (x, y) = (at as usize % self.width, at as usize / self.width);
+            let codes: Option<Sample> =
+                (0..self.data.len()).map(|k| self.code(k, x, y, channel)).collect();
             let Some(codes) = codes else { continue };
-            let band: &mut Vec<Vec<u8>> = &mut bands[usize::from(codes[middle]) * BANDS / 256];
+            let band: &mut Vec<Sample> = &mut bands[usize::from(codes[middle]) * BANDS / 256];
             let seen_twice = codes.iter().filter(|&&c| weight(c) > 4.0).count() >= 2;
             if seen_twice && band.len() < SAMPLES {
                 band.push(codes);
@@ -108,8 +200,15 @@ impl<'a> Codes<'a> {
             let share = (SAMPLES - samples.len()) / (BANDS - i);
             samples.extend_from_slice(&band[..band.len().min(share)]);
         }
-        samples
+        // In a scattered order again: every part of them has all bands.
+        let n = samples.len();
+        let stride = (1..n).rev().find(|s| gcd(*s, n) == 1 && *s * 5 < n * 2).unwrap_or(1);
+        (0..n).map(|i| samples[i * stride % n].clone()).collect()
     }
+}
+
+fn gcd(a: usize, b: usize) -> usize {
+    if b == 0 { a } else { gcd(b, a % b) }
 }
 
 /// Debevec & Malik's hat: no trust in codes at either end; none at all in clipped ones.
@@ -117,8 +216,89 @@ fn weight(code: u8) -> f64 {
     if code >= 250 { 0.0 } else { f64::from(code.min(255 - code)) }
 }
 
-/// Least squares for g; `None` if it cannot be solved.
-fn solve(samples: &[Vec<u8>], log_exposures: &[f64]) -> Option<DVector<f64>> {
+/// What a fit leaves unexplained of samples left out of it, and its σ over the parts left out.
+///
+/// Root mean square over the bands of codes of their median deviation from the samples' own means: noise
+/// has no median, a curve that is wrong has one wherever it is.
+#[derive(Clone, Copy, Debug)]
+struct HeldOut {
+    mean: f64,
+    sigma: f64,
+}
+
+impl HeldOut {
+    /// By more than the standard error of the difference.
+    fn clearly_below(&self, other: &Self) -> bool {
+        self.mean + self.sigma.hypot(other.sigma) < other.mean
+    }
+}
+
+/// Fits each method to all samples but a fold, and judges it by that fold.
+fn held_out(samples: &[Sample], log_exposures: &[f64], method: ResponseMethod) -> HeldOut {
+    let folds: Option<Vec<f64>> = (0..FOLDS)
+        .map(|fold| {
+            let of_fold = |(i, _): &(usize, &Sample)| i % FOLDS == fold;
+            let (tested, fitted): (Vec<_>, Vec<_>) =
+                samples.iter().enumerate().partition(|sample| of_fold(sample));
+            let fitted: Vec<Sample> =
+                fitted.into_iter().map(|(_, sample)| sample.clone()).collect();
+            let curve = anchored(solve(&fitted, log_exposures, method)?)?;
+            let mut bands = vec![Vec::new(); 256 / BAND];
+            for (_, sample) in tested {
+                for (code, off) in deviations(sample, &curve, log_exposures) {
+                    bands[usize::from(code) / BAND].push(off);
+                }
+            }
+            let medians: Vec<f64> =
+                bands.into_iter().filter(|band| band.len() >= FEWEST_IN_BAND).map(median).collect();
+            let squares: f64 = medians.iter().map(|m| m * m).sum();
+            (!medians.is_empty()).then(|| (squares / medians.len() as f64).sqrt())
+        })
+        .collect();
+    let Some(folds) = folds else { return HeldOut { mean: f64::INFINITY, sigma: 0.0 } };
+    let n = folds.len() as f64;
+    let mean = folds.iter().sum::<f64>() / n;
+    let variance = folds.iter().map(|f| (f - mean).powi(2)).sum::<f64>() / (n - 1.0);
+    HeldOut { mean, sigma: (variance / n).sqrt() }
+}
+
+/// How far the log radiance by each code of a sample is from their mean by Debevec and Malik's weight; codes
+/// at either end are left out.
+fn deviations(sample: &Sample, curve: &ToneCurve, log_exposures: &[f64]) -> Vec<(u8, f64)> {
+    let within =
+        sample.iter().zip(log_exposures).filter(|(code, _)| weight(**code) >= LEAST_JUDGED);
+    let logs: Vec<(u8, f64)> =
+        within.map(|(&code, t)| (code, f64::from(curve.linear(code)).ln() - t)).collect();
+    if logs.len() < 2 {
+        return Vec::new();
+    }
+    let (sum, total) = logs.iter().fold((0.0, 0.0), |(sum, total), &(code, log)| {
+        let w = weight(code).powi(2);
+        (sum + w * log, total + w)
+    });
+    logs.into_iter().map(|(code, log)| (code, log - sum / total)).collect()
+}
+
+/// The middle value; the list is not empty.
+fn median(mut values: Vec<f64>) -> f64 {
+    let middle = values.len() / 2;
+    *values.select_nth_unstable_by(middle, f64::total_cmp).1
+}
+
+/// Log of the linear value of each code, up to a constant; `None` if it cannot be solved.
+fn solve(
+    samples: &[Sample],
+    log_exposures: &[f64],
+    method: ResponseMethod,
+) -> Option<DVector<f64>> {
+    match method {
+        ResponseMethod::DebevecMalik => debevec_malik(samples, log_exposures),
+        ResponseMethod::Robertson => robertson(samples, log_exposures),
+        ResponseMethod::MitsunagaNayar => mitsunaga_nayar(samples, log_exposures),
+    }
+}
+
+fn debevec_malik(samples: &[Sample], log_exposures: &[f64]) -> Option<DVector<f64>> {
     let mut normal = DMatrix::<f64>::zeros(256, 256);
     let mut right = DVector::<f64>::zeros(256);
     for codes in samples {
@@ -135,8 +315,9 @@ fn solve(samples: &[Vec<u8>], log_exposures: &[f64]) -> Option<DVector<f64>> {
             }
         }
     }
+    let smoothness = SMOOTHNESS * (samples.len() as f64 / 1000.0).sqrt();
     for z in 1..255usize {
-        let w = (SMOOTHNESS * f64::from(z.min(255 - z) as u32)).powi(2);
+        let w = (smoothness * f64::from(z.min(255 - z) as u32)).powi(2);
         let second = [(z - 1, 1.0), (z, -2.0), (z + 1, 1.0)];
         for (i, a) in second {
             for (j, b) in second {
@@ -146,12 +327,98 @@ fn solve(samples: &[Vec<u8>], log_exposures: &[f64]) -> Option<DVector<f64>> {
     }
     // g(GREY_CODE) = 0 for now: takes away the free factor.
     normal[(GREY_CODE, GREY_CODE)] += 1e9;
-    normal.cholesky().map(|c| c.solve(&right)).filter(|g| g.iter().all(|v| v.is_finite()))
+    normal.cholesky().map(|c| c.solve(&right))
+}
+
+/// Rounds until Robertson's curve moves by less than the codes' own steps.
+const ROUNDS: usize = 40;
+
+fn robertson(samples: &[Sample], log_exposures: &[f64]) -> Option<DVector<f64>> {
+    let exposures: Vec<f64> = log_exposures.iter().map(|log| log.exp()).collect();
+    let mut curve: Vec<f64> = (0..256).map(|code| f64::from(code) / GREY_CODE as f64).collect();
+    // The paper's weight: a Gaussian that is 0 at both ends.
+    let gauss = |code: u8| (-4.0 * (f64::from(code) - 127.5).powi(2) / 127.5f64.powi(2)).exp();
+    let weight = |code: u8| if weight(code) > 0.0 { gauss(code) - gauss(0) } else { 0.0 };
+    for _ in 0..ROUNDS {
+        let (mut sums, mut counts) = ([0.0; 256], [0.0; 256]);
+        for sample in samples {
+            let (mut light, mut total) = (0.0, 0.0);
+            for (&code, t) in sample.iter().zip(&exposures) {
+                light += weight(code) * t * curve[usize::from(code)];
+                total += weight(code) * t * t;
+            }
+            if total <= 0.0 {
+                continue;
+            }
+            for (&code, t) in sample.iter().zip(&exposures) {
+                // A clipped code says nothing of what it stands for.
+                if code < 250 {
+                    sums[usize::from(code)] += t * light / total;
+                    counts[usize::from(code)] += 1.0;
+                }
+            }
+        }
+        let known: Vec<(usize, f64)> = (0..256)
+            .filter(|&code| counts[code] > 0.0 && sums[code] > 0.0)
+            .map(|code| (code, (sums[code] / counts[code]).ln()))
+            .collect();
+        let logs = between(&known)?;
+        curve = logs.iter().map(|log| (log - logs[GREY_CODE]).exp()).collect();
+    }
+    Some(DVector::from_iterator(256, curve.iter().map(|v| v.max(1e-12).ln())))
+}
+
+/// Logarithms of 256 codes from some of them: linear between, and beyond the first and the last with the
+/// slope that they have there.
+fn between(known: &[(usize, f64)]) -> Option<Vec<f64>> {
+    if known.len() < 16 {
+        return None;
+    }
+    Some(
+        (0..256)
+            .map(|code| {
+                let above = known.partition_point(|k| k.0 < code).clamp(1, known.len() - 1);
+                let ((a, low), (b, high)) = (known[above - 1], known[above]);
+                low + (high - low) * (code as f64 - a as f64) / (b as f64 - a as f64)
+            })
+            .collect(),
+    )
+}
+
+fn mitsunaga_nayar(samples: &[Sample], log_exposures: &[f64]) -> Option<DVector<f64>> {
+    // f⁻¹(m) = Σ cₙ mⁿ, n from 1: code 0 is black; and f⁻¹(1) = 1.
+    let powers = |code: u8| -> [f64; DEGREE] {
+        let m = f64::from(code) / 255.0;
+        std::array::from_fn(|n| m.powi(n as i32 + 1))
+    };
+    let mut normal = DMatrix::<f64>::zeros(DEGREE, DEGREE);
+    for sample in samples {
+        for (k, pair) in sample.windows(2).enumerate() {
+            let w = weight(pair[0]).min(weight(pair[1]));
+            if w <= 0.0 {
+                continue;
+            }
+            let ratio = (log_exposures[k] - log_exposures[k + 1]).exp();
+            let (a, b) = (powers(pair[0]), powers(pair[1]));
+            let row = DVector::from_fn(DEGREE, |n, _| w * (a[n] - ratio * b[n]));
+            normal += &row * row.transpose();
+        }
+    }
+    let ones = DVector::from_element(DEGREE, 1.0);
+    let solved = normal.cholesky()?.solve(&ones);
+    let sum = solved.sum();
+    let value = |code: u8| powers(code).iter().zip(solved.iter()).map(|(p, c)| p * c / sum).sum();
+    // A polynomial may dip below black; the curve is made to rise later.
+    let logs = (0..=255u8).map(|code| f64::max(value(code), 1e-9).ln());
+    Some(DVector::from_iterator(256, logs))
 }
 
 /// The curve of g, made to rise strictly and to give 18 % grey its sRGB meaning; `None` if it runs
 /// beyond all numbers.
 fn anchored(g: DVector<f64>) -> Option<ToneCurve> {
+    if g.iter().any(|v| !v.is_finite()) {
+        return None;
+    }
     let grey = f64::from(srgb_decode(GREY_CODE as f32 / 255.0));
     let mut curve: Vec<f64> = g.iter().map(|v| (v - g[GREY_CODE]).exp() * grey).collect();
     // Away from grey outward: noise must not turn the curve around.

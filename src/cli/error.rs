@@ -45,6 +45,11 @@ impl CliError {
         Self { problems, outcome: Ended::Wrong }
     }
 
+    /// The problems in one line, for a result among others.
+    pub fn sentence(&self) -> String {
+        self.problems.join("; ")
+    }
+
     /// Prints the problems to stderr, and with `json` also as `{"errors": […]}` to stdout.
     pub fn print(&self, json: bool) {
         for problem in &self.problems {

@@ -162,7 +162,7 @@ mod tests {
             (Primaries::AdobeRgb, Transfer::Gamma(220)),
             (Primaries::Rec709, Transfer::Measured(bent.expect("a curve that rises"))),
         ] {
-            let plate = plate(primaries).redecoded(transfer).unwrap();
+            let plate = plate(primaries).redecoded(transfer);
             let mut composite = compose(&plate, &Difference::nothing(16, 16), Mode::Ratio).unwrap();
             // Every pixel is said to be changed, by nothing: all are encoded anew.
             composite.changed = Image::filled(16, 16, true);

@@ -31,6 +31,19 @@ pub(super) fn parse(raw: &[u8]) -> (Facts, Option<ExifColour>) {
     }
 }
 
+/// Facts from a file that holds an EXIF block; none from any other.
+pub(super) fn of_container(mut file: impl std::io::BufRead + std::io::Seek) -> Facts {
+    let parsed = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
+        let mut reader = Reader::new();
+        reader.continue_on_error(true);
+        reader.read_from_container(&mut file).or_else(|e| e.distill_partial_result(|_| ()))
+    }));
+    match parsed {
+        Ok(Ok(exif)) => facts(&exif),
+        _ => Facts { orientation: 1, ..Facts::default() },
+    }
+}
+
 fn facts(exif: &Exif) -> Facts {
     Facts {
         exposure_s: number(exif, Tag::ExposureTime).or_else(|| apex_time(exif)),

@@ -7,6 +7,7 @@
 pub mod atomic;
 pub mod bytes;
 pub mod colour;
+mod encoded;
 mod error;
 mod exif;
 pub mod exr_file;
@@ -28,6 +29,7 @@ mod tone_curve;
 mod ward;
 
 pub use self::colour::NamedColour;
+pub use self::encoded::{Decoder, Encoded, Measured};
 pub use self::error::PhotoError;
 pub use self::image::Image;
 pub use self::radiance_hdr::Mantissa;
@@ -299,22 +301,28 @@ impl Photo {
         1.0 - transfer.decode(1.0 - 0.5 / codes) / transfer.decode(1.0)
     }
 
-    /// The same file read through another curve, its primaries kept.
-    ///
-    /// # Errors
-    /// None for a photo that a reader made.
-    pub fn redecoded(&self, transfer: Transfer) -> Result<Self, PhotoError> {
-        let source = EncodingSource::Named;
-        let decoded = Decoded {
+    /// The picture as its file holds it, without its light.
+    pub fn encoded(&self) -> Encoded {
+        Encoded {
+            path: self.path.clone(),
+            format: self.format,
             width: self.linear.width(),
             height: self.linear.height(),
-            samples: self.samples.clone(),
-            facts: self.facts.clone(),
-            encoding: Encoding { transfer, primaries: self.encoding.primaries, source },
+            nonfinite: self.nonfinite,
             data_window: self.data_window,
             remarks: self.remarks.clone(),
-        };
-        linear::photo(&self.path, self.format, decoded)
+            facts: self.facts.clone(),
+            encoding: self.encoding.clone(),
+            samples: self.samples.clone(),
+        }
+    }
+
+    /// The same file read through another curve, its primaries kept.
+    pub fn redecoded(&self, transfer: Transfer) -> Self {
+        let mut file = self.encoded();
+        file.encoding.transfer = transfer;
+        file.encoding.source = EncodingSource::Named;
+        file.into()
     }
 }
 
@@ -357,7 +365,15 @@ struct Decoded {
 /// Anything unreadable, damaged, too large or of unknown colour, with file, cause and remedy.
 /// No content of a file panics or allocates much more than [`ReadOptions::max_bytes`].
 pub fn read(path: &Path, options: &ReadOptions) -> Result<Photo, PhotoError> {
-    read_bytes(path, &file_bytes(path, options)?, options)
+    read_encoded(path, options).map(Photo::from)
+}
+
+/// Reads a picture as [`read`] does and leaves it in its file's own samples.
+///
+/// # Errors
+/// As [`read`].
+pub fn read_encoded(path: &Path, options: &ReadOptions) -> Result<Encoded, PhotoError> {
+    encoded(path, &file_bytes(path, options)?, options)
 }
 
 fn file_bytes(path: &Path, options: &ReadOptions) -> Result<Vec<u8>, PhotoError> {
@@ -381,6 +397,21 @@ pub fn read_comments(path: &Path) -> Result<Option<String>, PhotoError> {
     }
 }
 
+/// The camera's facts of a picture and its stored width and height, without reading its pixels.
+///
+/// # Errors
+/// A file that cannot be opened, or is no picture.
+pub fn peek(path: &Path) -> Result<(Facts, (u32, u32)), PhotoError> {
+    let unreadable = |source| PhotoError::Read { path: path.into(), source };
+    let file = std::fs::File::open(path).map_err(unreadable)?;
+    let facts = exif::of_container(std::io::BufReader::new(file));
+    let reader = ::image::ImageReader::open(path).and_then(|reader| reader.with_guessed_format());
+    match reader.map_err(unreadable)?.into_dimensions() {
+        Ok(size) => Ok((facts, size)),
+        Err(error) => Err(PhotoError::Picture { path: path.into(), cause: error.to_string() }),
+    }
+}
+
 /// Reads a layer of an EXR file; `None` if the file has none of that name.
 ///
 /// # Errors
@@ -395,6 +426,10 @@ pub fn read_layer(path: &Path, layer: &str) -> Result<Option<Photo>, PhotoError>
 
 /// Reads a picture from a file's bytes; `path` only names it in messages.
 pub fn read_bytes(path: &Path, bytes: &[u8], options: &ReadOptions) -> Result<Photo, PhotoError> {
+    encoded(path, bytes, options).map(Photo::from)
+}
+
+fn encoded(path: &Path, bytes: &[u8], options: &ReadOptions) -> Result<Encoded, PhotoError> {
     let (format, decoded) = match bytes {
         [0x76, 0x2f, 0x31, 0x01, ..] => (Format::Exr, exr_read::decode(path, bytes, options)),
         [b'#', b'?', ..] => (Format::RadianceHdr, radiance_hdr::decode(path, bytes, options)),
@@ -409,7 +444,7 @@ pub fn read_bytes(path: &Path, bytes: &[u8], options: &ReadOptions) -> Result<Ph
         let cause = format!("has no layer {layer:?}; only EXR files have layers");
         return Err(PhotoError::Picture { path: path.into(), cause });
     }
-    linear::photo(path, format, decoded?)
+    Encoded::new(path, format, decoded?)
 }
 
 fn not_a_picture(path: &Path, bytes: &[u8]) -> PhotoError {

@@ -4,7 +4,7 @@ use super::file::PlateColour;
 use super::plan::Plan;
 use super::probe_keys::ProbeSource;
 use crate::bracket::{self, Radiance, ResponseSource};
-use crate::photo::Transfer;
+use crate::photo::{Photo, Transfer};
 use crate::report::Warning;
 
 /// Merges the photographs of a ball or fisheye; `None` for a panorama or a sky.
@@ -22,7 +22,7 @@ pub fn merge(plan: &mut Plan) -> Result<Option<(Radiance, Vec<Warning>)>, String
     match plan.probe_photos.as_slice() {
         [] => return Ok(None),
         [photo] if plan.exposures.values == [1.0] => {
-            let radiance = bracket::file::from_picture(photo)
+            let radiance = bracket::file::from_picture(&Photo::from(photo.clone()))
                 .map_err(|error| format!("{}: {key}: {error}", plan.shot.path.display()))?;
             return Ok(Some((radiance, Vec::new())));
         }
@@ -62,14 +62,15 @@ pub fn merge(plan: &mut Plan) -> Result<Option<(Radiance, Vec<Warning>)>, String
             plan.shot.path.display()
         ));
     }
-    if let Some(curve) = merged.response {
+    if let Some(response) = merged.response {
         warnings.push(Warning::note(
             "plate.colour",
             "plate and probe are read through the camera's own tone curve, recovered from the bracket",
-            format!("up to a factor {:.2} from sRGB", curve.distance_from_srgb()),
+            format!("up to a factor {:.2} from sRGB", response.distance_from_srgb()),
         ));
-        let reread = plan.plate.redecoded(Transfer::Measured(curve));
-        plan.plate = reread.map_err(|error| error.to_string())?;
+        // One curve for all channels was asked for.
+        let [curve, ..] = response.curves;
+        plan.plate = plan.plate.redecoded(Transfer::Measured(curve));
     } else if bent {
         warnings.push(Warning::new(
             "plate.colour",

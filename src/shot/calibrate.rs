@@ -10,7 +10,7 @@ use super::detect::{self, DetectError, Rung};
 use super::pictures;
 use crate::camera::lens::focal_px;
 use crate::camera::{Camera, Distortion, Lens, file};
-use crate::photo::{self, Facts, Photo, PhotoError, ReadOptions};
+use crate::photo::{self, Facts, PhotoError, ReadOptions};
 use crate::report::{CameraReport, ViewReport, Warning};
 
 /// A lens for pictures of one size, and everything the report says about it.
@@ -53,15 +53,19 @@ pub enum LensError {
     OtherShape { from: [usize; 2], to: [usize; 2] },
 }
 
-/// The lens that `[camera]` names, for the plate's size.
-pub fn find_lens(source: &CameraSource, plate: &Photo) -> Result<FoundLens, LensError> {
-    let (width, height) = (plate.linear.width(), plate.linear.height());
+/// The lens that `[camera]` names, for a photograph of that size and those facts.
+pub fn find_lens(
+    source: &CameraSource,
+    [width, height]: [usize; 2],
+    facts: &Facts,
+    photo: &Path,
+) -> Result<FoundLens, LensError> {
     let found = match source {
         CameraSource::Boards { photos, board } => {
             let files = pictures::expand(photos)
                 .map_err(|cause| LensError::Photos { pattern: photos.clone(), cause })?;
-            let (mut found, facts) = from_boards(&files, board)?;
-            found.warnings.extend(other_setting(&facts, &plate.facts));
+            let (mut found, of_boards) = from_boards(&files, board)?;
+            found.warnings.extend(other_setting(&of_boards, facts));
             found
         }
         CameraSource::File(path) => {
@@ -75,14 +79,13 @@ pub fn find_lens(source: &CameraSource, plate: &Photo) -> Result<FoundLens, Lens
         CameraSource::Focal { focal_mm, sensor_mm } => {
             let sensor = sensor_mm.unwrap_or(36.0);
             let found = nominal(*focal_mm, sensor, width, height, "focal_mm")
-                .ok_or_else(|| LensError::NoFocal { plate: plate.path.clone() })?;
+                .ok_or_else(|| LensError::NoFocal { plate: photo.into() })?;
             plausible(found, "focal_mm")?
         }
-        CameraSource::Exif { sensor_mm } => plate
-            .facts
+        CameraSource::Exif { sensor_mm } => facts
             .focal_mm
             .and_then(|focal| nominal(focal, *sensor_mm, width, height, "EXIF"))
-            .ok_or_else(|| LensError::NoFocal { plate: plate.path.clone() })
+            .ok_or_else(|| LensError::NoFocal { plate: photo.into() })
             .and_then(|found| plausible(found, "exif_sensor_mm"))?,
     };
     fit_to(found, width, height)

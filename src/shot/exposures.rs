@@ -6,7 +6,7 @@ use serde::Serialize;
 
 use super::camera_keys::ExposureKeys;
 use crate::bracket;
-use crate::photo::{Facts, Photo};
+use crate::photo::{Encoded, Facts, Photo};
 
 /// The probe's radiance × `factor` = plate value.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -63,7 +63,7 @@ fn possible(scale: Scale) -> Result<Scale, String> {
 ///
 /// `key` names the photographs in messages.
 pub fn of_bracket(
-    photos: &[Photo],
+    photos: &[Encoded],
     keys: &[ExposureKeys],
     tied: bool,
     key: &str,
@@ -181,7 +181,7 @@ mod tests {
     fn missing_facts_are_named_with_their_remedy() {
         let error = plate_scale(&photo(None, "p.png"), &ExposureKeys::default(), None).unwrap_err();
         assert!(error.contains("exposure time is not known; write exposure ="), "{error}");
-        let photos = [photo(Some(1.0), "a.jpg"), photo(None, "b.jpg")];
+        let photos = [photo(Some(1.0), "a.jpg"), photo(None, "b.jpg")].map(|photo| photo.encoded());
         let errors = of_bracket(&photos, &[], true, "probe.ball").unwrap_err();
         assert!(errors.len() == 1 && errors[0].contains("b.jpg"), "{errors:?}");
         let errors = of_bracket(&photos, &[ExposureKeys::default()], true, "k").unwrap_err();
@@ -190,9 +190,9 @@ mod tests {
 
     #[test]
     fn one_radiance_picture_needs_no_exposure() {
-        let exposures = of_bracket(&[photo(None, "ball.EXR")], &[], true, "k").unwrap();
+        let exposures = of_bracket(&[photo(None, "ball.EXR").encoded()], &[], true, "k").unwrap();
         assert_eq!(exposures.values, [1.0]);
-        assert!(of_bracket(&[photo(None, "ball.jpg")], &[], true, "k").is_err());
-        assert!(of_bracket(&[photo(None, "ball.jpg")], &[], false, "k").is_ok());
+        assert!(of_bracket(&[photo(None, "ball.jpg").encoded()], &[], true, "k").is_err());
+        assert!(of_bracket(&[photo(None, "ball.jpg").encoded()], &[], false, "k").is_ok());
     }
 }

@@ -87,8 +87,9 @@ fn ball(plan: &Plan, prepared: &Prepared) -> Option<Overlay> {
     let (camera, rim) = prepared.light.ball.as_ref()?;
     // The middle exposure shows the rim best.
     let photo = plan.probe_photos.get(plan.probe_photos.len() / 2)?;
+    let photo = Photo::from(photo.clone());
     let n = reduction(&photo.linear);
-    let mut canvas = Canvas::new(&bright(photo).reduced(n));
+    let mut canvas = Canvas::new(&bright(&photo).reduced(n));
     overlay::rim(&mut canvas, &reduced_camera(camera, n), rim.axis, rim.half_angle_rad);
     Some(Overlay {
         name: "overlay_ball",

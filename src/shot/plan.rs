@@ -16,7 +16,7 @@ use super::pictures::{expand, readable};
 use super::place;
 use super::probe_keys::{ProbeSource, Surroundings};
 use crate::conventions::Rgb;
-use crate::photo::{self, NamedColour, Photo, ReadOptions, Samples, Transfer};
+use crate::photo::{self, Encoded, Facts, NamedColour, Photo, ReadOptions, Samples, Transfer};
 use crate::report::Warning;
 use crate::scene::{self, Model};
 
@@ -28,7 +28,7 @@ pub struct Plan {
     /// What the probe's radiance is multiplied with to be in the plate's values.
     pub scale: Scale,
     /// Photographs of the ball or fisheye.
-    pub probe_photos: Vec<Photo>,
+    pub probe_photos: Vec<Encoded>,
     pub exposures: Exposures,
     /// The mesh of `[surroundings]`.
     pub surroundings: Option<Model>,
@@ -93,13 +93,16 @@ impl Finder {
             self.problem(key, name, &cause);
             return None;
         }
-        self.photos(key, name, colour).pop()
+        self.photos(key, name, colour).pop().map(Photo::from)
     }
 
-    fn photos(&mut self, key: &str, pattern: &Path, colour: Option<NamedColour>) -> Vec<Photo> {
+    fn photos(&mut self, key: &str, pattern: &Path, colour: Option<NamedColour>) -> Vec<Encoded> {
         let options = ReadOptions { colour, ..ReadOptions::default() };
-        let read: Vec<_> =
-            self.files(key, pattern).par_iter().map(|path| photo::read(path, &options)).collect();
+        let read: Vec<_> = self
+            .files(key, pattern)
+            .par_iter()
+            .map(|path| photo::read_encoded(path, &options))
+            .collect();
         read.into_iter().filter_map(|photo| self.keep(key, photo)).collect()
     }
 
@@ -304,8 +307,7 @@ impl Plan {
         }
         // The curve that the bracket showed is this frame's too.
         if let Transfer::Measured(curve) = &self.plate.encoding.transfer {
-            let read = plate.redecoded(Transfer::Measured(curve.clone()));
-            plate = read.map_err(|error| vec![error.to_string()])?;
+            plate = plate.redecoded(Transfer::Measured(curve.clone()));
         }
         let local = moved(&self.local, shot.local.iter().map(|keys| &keys.motion), shot)?;
         let objects = moved(&self.objects, shot.objects.iter().map(|keys| &keys.motion), shot)?;
@@ -338,16 +340,16 @@ impl Plan {
     pub fn predicted_bytes(&self) -> u64 {
         /// Plate, its samples, the difference, its replicates and the encoded layers.
         const PER_PIXEL: u64 = 700;
-        /// Photograph, mean, variance and validity of a bracket's pixel.
-        const PER_PROBE_PIXEL: u64 = 90;
+        /// Samples and state of a photograph's pixel, and mean, variance and validity of a bracket's.
+        const PER_PROBE_PIXEL: u64 = 40;
         /// Vertices, indices and both trees.
         const PER_TRIANGLE: u64 = 250;
         /// The program, its threads' stacks and a panorama of 2048 × 1024 texels with its tables.
         const BASE: u64 = 300 << 20;
-        let pixels = |photo: &Photo| photo.linear.pixels().len() as u64;
+        let pixels = |photo: &Encoded| (photo.width * photo.height) as u64;
         let models = self.support.iter().chain(&self.local).chain(&self.objects);
         let triangles: u64 = models.map(|model| model.n_held_triangles() as u64).sum();
-        PER_PIXEL * pixels(&self.plate)
+        PER_PIXEL * self.plate.linear.pixels().len() as u64
             + PER_PROBE_PIXEL * self.probe_photos.iter().map(pixels).sum::<u64>()
             + PER_TRIANGLE * triangles
             + BASE
@@ -391,11 +393,11 @@ impl Plan {
                 "every pixel",
             ));
         }
-        for photo in self.probe_photos.iter().chain([&self.plate]) {
-            let name = photo.path.display().to_string();
+        let probe = self.probe_photos.iter().map(|photo| (&photo.path, &photo.remarks));
+        for (path, remarks) in probe.chain([(&self.plate.path, &self.plate.remarks)]) {
+            let name = path.display().to_string();
             // Each says itself what it does to the picture.
-            let remarks = photo.remarks.iter().map(|remark| Warning::new(&name, remark, ""));
-            warnings.extend(remarks);
+            warnings.extend(remarks.iter().map(|remark| Warning::new(&name, remark, "")));
         }
         if let Some(bad) = self.plate.nonfinite {
             warnings.push(Warning::new(
@@ -468,7 +470,7 @@ fn named_colour(shot: &ShotFile) -> Option<NamedColour> {
 }
 
 /// Reads the probe's pictures; exposures are `None` after a problem.
-fn read_probe(shot: &ShotFile, find: &mut Finder) -> (Vec<Photo>, Option<Exposures>) {
+fn read_probe(shot: &ShotFile, find: &mut Finder) -> (Vec<Encoded>, Option<Exposures>) {
     let (key, pattern, keys) = match &shot.probe.source {
         ProbeSource::Ball(ball) => ("probe.ball", &ball.photos, &ball.exposures),
         ProbeSource::Fisheye(fisheye) => ("probe.fisheye", &fisheye.photos, &fisheye.exposures),
@@ -506,32 +508,35 @@ fn read_probe(shot: &ShotFile, find: &mut Finder) -> (Vec<Photo>, Option<Exposur
 }
 
 /// A curve recovered from the bracket holds for a plate of the same camera only.
-fn check_one_camera(plate: &Photo, bracket: &[Photo], find: &mut Finder) {
+fn check_one_camera(plate: &Photo, bracket: &[Encoded], find: &mut Finder) {
     let key = "plate.colour";
     let remedy = "name a colour space or take \"auto\" instead of \"bracket\"";
-    let eight_bit = |photo: &Photo| matches!(photo.samples, Samples::U8 { .. });
+    let eight_bit = |samples: &Samples| matches!(samples, Samples::U8 { .. });
     if bracket.len() < 2 {
         let cause = format!("the probe has no bracket that could show a tone curve; {remedy}");
         return find.problem(key, &plate.path, &cause);
     }
-    if let Some(photo) = [plate].into_iter().chain(bracket).find(|photo| !eight_bit(photo)) {
+    let of_bracket = bracket.iter().map(|photo| (&photo.samples, &photo.path));
+    let mut all = [(&plate.samples, &plate.path)].into_iter().chain(of_bracket);
+    if let Some((_, path)) = all.find(|(samples, _)| !eight_bit(samples)) {
         let cause = format!("is no 8-bit file; only those have a camera's tone curve; {remedy}");
-        find.problem(key, &photo.path, &cause);
+        find.problem(key, path, &cause);
     }
-    let camera = |photo: &Photo| (photo.facts.make.clone(), photo.facts.model.clone());
-    if let Some(other) = bracket.iter().find(|photo| camera(photo) != camera(plate)) {
+    let camera = |facts: &Facts| (facts.make.clone(), facts.model.clone());
+    if let Some(other) = bracket.iter().find(|photo| camera(&photo.facts) != camera(&plate.facts)) {
         let cause = format!("was taken by another camera than the plate; {remedy}");
         find.problem(key, &other.path, &cause);
     }
 }
 
 /// Photographs of the ball through the plate's lens have the plate's size, or are a cut-out.
-fn check_ball_frame(shot: &ShotFile, plate: &Photo, photos: &[Photo], find: &mut Finder) {
+fn check_ball_frame(shot: &ShotFile, plate: &Photo, photos: &[Encoded], find: &mut Finder) {
     let ProbeSource::Ball(ball) = &shot.probe.source else { return };
-    let size = |photo: &Photo| [photo.linear.width(), photo.linear.height()];
-    let Some(photo) = photos.first().filter(|photo| size(photo) != size(plate)) else { return };
+    let (width, height) = (plate.linear.width(), plate.linear.height());
+    let differs = |photo: &&Encoded| (photo.width, photo.height) != (width, height);
+    let Some(photo) = photos.first().filter(differs) else { return };
     if ball.camera.is_none() && ball.crop.is_none() {
-        let ([w, h], [width, height]) = (size(photo), size(plate));
+        let (w, h) = (photo.width, photo.height);
         let cause = format!(
             "{w} × {h} px, but the plate has {width} × {height} px; if it is a cut-out, say crop = {{ x = …, \
              y = …, scale = … }}; if it is of another camera or setting, describe that as camera"

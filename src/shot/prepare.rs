@@ -109,7 +109,9 @@ pub fn prepare(
 
     begin("calibrate the lens")?;
     let in_file = |error: String| format!("{}: {error}", shot.path.display());
-    let found_lens = find_lens(&shot.camera.source, &plan.plate)
+    let plate = &plan.plate;
+    let plate_size = [plate.linear.width(), plate.linear.height()];
+    let found_lens = find_lens(&shot.camera.source, plate_size, &plate.facts, &plate.path)
         .map_err(|error| one(in_file(format!("camera: {error}"))))?;
 
     begin("find the camera's place")?;
@@ -260,12 +262,13 @@ fn ball_camera(
     plate_pose: Option<&FoundPose>,
 ) -> Result<Option<Camera>, String> {
     let photo = plan.probe_photos.first().ok_or("photos: none was read")?;
-    let photo_size = [photo.linear.width(), photo.linear.height()];
+    let photo_size = [photo.width, photo.height];
     let own;
     let (lens, board) = match &ball.camera {
         None => (plate, own_board(&plan.shot.camera)),
         Some(source) => {
-            own = find_lens(source, photo).map_err(|error| format!("camera: {error}"))?;
+            let found = find_lens(source, photo_size, &photo.facts, &photo.path);
+            own = found.map_err(|error| format!("camera: {error}"))?;
             let board = match source {
                 CameraSource::Boards { board, .. } => Some(board),
                 _ => own_board(&plan.shot.camera),

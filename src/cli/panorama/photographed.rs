@@ -10,7 +10,7 @@ use crate::camera::lens::focal_px_from_35mm;
 use crate::camera::{Camera, Lens, Pose};
 use crate::cli::{CliError, Global};
 use crate::conventions::Rgb;
-use crate::photo::{self, Format, Image, Photo};
+use crate::photo::{self, Encoded, Format, Image, Photo};
 use crate::probe::axes::Axes;
 use crate::probe::find::{BallImage, Hints, find};
 use crate::probe::fisheye::{Fisheye, Projection};
@@ -52,9 +52,9 @@ pub(super) fn photographed(
     global: &Global,
 ) -> Result<Photographed, CliError> {
     let args = wishes.args;
-    let photos: Vec<Photo> =
-        args.photos.iter().map(|path| photo::read(path, &wishes.read)).collect::<Result<_, _>>()?;
-    warnings.extend(photos.iter().flat_map(Photo::named_remarks));
+    let read = args.photos.iter().map(|path| photo::read_encoded(path, &wishes.read));
+    let photos: Vec<Encoded> = read.collect::<Result<_, _>>()?;
+    warnings.extend(photos.iter().flat_map(Encoded::named_remarks));
     global.go_on()?;
     let (radiance, unit) = radiance(wishes, &photos, warnings)?;
     global.go_on()?;
@@ -66,7 +66,7 @@ pub(super) fn photographed(
 
 fn through_a_lens(
     wishes: &Wishes,
-    photo: &Photo,
+    photo: &Encoded,
     mut radiance: Radiance,
     unit: String,
 ) -> Result<Photographed, CliError> {
@@ -104,7 +104,7 @@ fn through_a_lens(
 
 fn ball(
     wishes: &Wishes,
-    photo: &Photo,
+    photo: &Encoded,
     radiance: &Radiance,
     unit: String,
     warnings: &mut Vec<String>,
@@ -192,7 +192,7 @@ pub(super) fn mapped(
 /// The photographs as radiance, and its unit: an EXR or HDR as it is, a bracket or a single photograph merged.
 fn radiance(
     wishes: &Wishes,
-    photos: &[Photo],
+    photos: &[Encoded],
     warnings: &mut Vec<String>,
 ) -> Result<(Radiance, String), CliError> {
     if let [only] = photos
@@ -205,7 +205,7 @@ fn radiance(
             )));
         }
         let unit = "the value of the file that was read";
-        return Ok((bracket::file::from_picture(only)?, unit.into()));
+        return Ok((bracket::file::from_picture(&Photo::from(only.clone()))?, unit.into()));
     }
     let exposures = match &wishes.times_s {
         Some(times) => exposure::from_times(photos, times)?,
@@ -242,7 +242,7 @@ fn fisheye(wishes: &Wishes, kind: FisheyeKind, w: usize, h: usize) -> Result<Fis
 }
 
 /// The camera of the photographs: a file, a focal length, or EXIF.
-fn camera(wishes: &Wishes, photo: &Photo, w: usize, h: usize) -> Result<Camera, CliError> {
+fn camera(wishes: &Wishes, photo: &Encoded, w: usize, h: usize) -> Result<Camera, CliError> {
     let args = wishes.args;
     if let Some(path) = &args.camera {
         let camera = crate::camera::file::read(path)?.camera;

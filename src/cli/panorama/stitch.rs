@@ -9,7 +9,7 @@ use super::photographed::{Photographed, Seen};
 use crate::bracket::{self, Frame, MergeOptions, Radiance, exposure};
 use crate::cli::{CliError, Global};
 use crate::conventions::luminance;
-use crate::photo::{self, Format, Photo};
+use crate::photo::{self, Encoded, Format, Photo};
 use crate::probe::lens_picture::LensPicture;
 use crate::probe::stitched::{View, stitched};
 use crate::probe::unwrap::natural_width;
@@ -72,15 +72,16 @@ fn radiances(wishes: &Wishes, photos: &[Photo]) -> Result<(Vec<Radiance>, String
         let all = photos.iter().map(bracket::file::from_picture).collect::<Result<_, _>>()?;
         return Ok((all, "the value of the files that were read".into()));
     }
+    let encoded: Vec<Encoded> = photos.iter().map(Photo::encoded).collect();
     let exposures = match &wishes.times_s {
-        Some(times) => exposure::from_times(photos, times)?,
-        None => exposure::from_exif(photos)?,
+        Some(times) => exposure::from_times(&encoded, times)?,
+        None => exposure::from_exif(&encoded)?,
     };
-    let single = |(photo, &exposure): (&Photo, &f64)| {
+    let single = |(photo, &exposure): (&Encoded, &f64)| {
         bracket::merge(&[Frame { photo, exposure }], &MergeOptions::default())
             .map(|merged| merged.radiance)
     };
-    let all = photos.iter().zip(&exposures).map(single).collect::<Result<_, _>>()?;
+    let all = encoded.iter().zip(&exposures).map(single).collect::<Result<_, _>>()?;
     Ok((all, "linear value of the photographs / exposure, t (ISO / 100) / N^2 with t in s".into()))
 }
 
