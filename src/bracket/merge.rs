@@ -11,7 +11,7 @@ use super::layer::Layer;
 use super::lint::{self, Warning};
 use super::noise::{self, Noise};
 use super::response::{self, Response};
-use super::stack::Stack;
+use super::stack::{SYSTEMATIC, Stack};
 use super::warp::{Warp, WarpKind};
 use super::{BracketError, Radiance};
 use crate::photo::{Encoded, Facts};
@@ -153,11 +153,13 @@ pub fn merge(frames: &[Frame], options: &MergeOptions) -> Result<Merged, Bracket
         exposures[copy] = exposures[original];
     }
 
+    let curve_off = response.as_ref().map_or(0.0, |response| 2.0 * response.held_out);
     let stack = Stack {
         layers: &layers,
         exposures: &exposures,
         order: &order,
         channels_apart: response.as_ref().is_some_and(|response| response.per_channel),
+        systematic: SYSTEMATIC.hypot(curve_off),
     };
     let noise = options.noise.or_else(|| noise::measure(&stack.pairs())).unwrap_or_else(|| {
         let Noise { full_well_e, read_noise_e, .. } = Noise::TYPICAL;

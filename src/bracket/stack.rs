@@ -16,15 +16,16 @@ use crate::photo::{Image, Measured};
 /// Linear value, about one code of 8 bits, below which a frame is left out (methods-capture C3).
 const DARKEST_USED: f32 = 0.004;
 
-/// Where photographs in which no clipped pixel is near gathered this much light of the brightest channel, in units of white, the
-/// others are left out: below, what a clipped neighbour's colour does to them is less than the noise without them.
-/// (The truth scenes' brackets are off by 0.042, 0.037 and 0.055 stops rms like this, 0.074, 0.045 and 0.059
-/// without all of them, 0.043, 0.038 and 0.058 with all, as by maximum likelihood with the noise known.)
-const ENOUGH_CLEAN: f32 = 0.3;
+/// Where photographs in which no clipped pixel is near gathered this much light of the brightest channel, in
+/// units of white, the others are left out; with less, noise would be worse than a clipped neighbour's colour.
+/// (The truth scenes' brackets are off by 0.046, 0.044 and 0.059 stops rms like this, by 0.074, 0.045 and 0.059
+/// without the others anywhere; by 0.042, 0.037 and 0.055 with 0.3 for this, but then what a lamp's colour does
+/// to its surroundings misleads whoever looks for a ball's rim there.)
+const ENOUGH_CLEAN: f32 = 0.02;
 /// How many σ a frame may be off a pixel's mean (methods-capture C3).
 const CONTRADICTING: f32 = 4.0;
-/// σ of what tone curve and exposures are off, as a share of the light.
-const SYSTEMATIC: f32 = 0.03;
+/// σ of what a known tone curve and the exposures are off, as a share of the light.
+pub(super) const SYSTEMATIC: f64 = 0.03;
 
 /// All frames on one grid with their exposures.
 pub(super) struct Stack<'a> {
@@ -34,6 +35,8 @@ pub(super) struct Stack<'a> {
     pub order: &'a [usize],
     /// Whether a channel that is not clipped counts whatever the others do.
     pub channels_apart: bool,
+    /// σ of what tone curve and exposures are off, as a share of the light.
+    pub systematic: f64,
 }
 
 /// One pixel's result.
@@ -188,7 +191,7 @@ impl Stack<'_> {
     /// Whether one of `shown` contradicts a pixel's mean, in its green: by more than [`CONTRADICTING`] σ of
     /// the noise, of what curve and exposures are off, and of `sigma` in radiance.
     fn contradict(&self, shown: &[(Shown, f32)], mean: f32, noise: Deviations, sigma: f32) -> bool {
-        let systematic = (SYSTEMATIC * mean).powi(2) + sigma * sigma;
+        let systematic = (self.systematic as f32 * mean).powi(2) + sigma * sigma;
         let limit = CONTRADICTING * CONTRADICTING;
         shown.iter().any(|(shown, t)| {
             let Measured { light, rounding, .. } = shown.measured;
