@@ -46,13 +46,11 @@ impl Shown {
         state: SPOILED,
     };
 
-    /// Whether a channel holds a measurement. `apart`: whatever the other channels do. `clean`: and nothing
-    /// of a clipped neighbour.
+    /// Whether a channel holds a measurement. `apart`: whatever the other channels do.
     #[inline]
-    pub fn usable(&self, channel: usize, apart: bool, clean: bool) -> bool {
+    pub fn usable(&self, channel: usize, apart: bool) -> bool {
         let clipping = if apart { 1 << channel } else { CLIPS };
-        let near = if clean { clipping << NEAR_CLIPPED } else { 0 };
-        self.state & (NO_DATA | clipping | near) == 0
+        self.state & (NO_DATA | clipping << NEAR_CLIPPED) == 0
     }
 }
 
@@ -260,9 +258,8 @@ mod tests {
                     let near = x.abs_diff(4).max(y.abs_diff(4)) <= reach;
                     assert_eq!(layer.usable(x, y).is_none(), near, "{format:?} ({x}, {y})");
                     let shown = layer.shown(x, y);
-                    assert_eq!(shown.usable(0, true, true), !near);
-                    assert_eq!(shown.usable(0, true, false), (x, y) != (4, 4));
-                    assert!(shown.usable(1, true, true), "green is not clipped");
+                    assert_eq!(shown.usable(0, true), !near);
+                    assert!(shown.usable(1, true), "green is not clipped");
                     assert_eq!(shown.state & CLIPS != 0, (x, y) == (4, 4));
                 }
             }

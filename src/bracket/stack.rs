@@ -16,12 +16,6 @@ use crate::photo::{Image, Measured};
 /// Linear value, about one code of 8 bits, below which a frame is left out (methods-capture C3).
 const DARKEST_USED: f32 = 0.004;
 
-/// Where photographs in which no clipped pixel is near gathered this much light of the brightest channel, in
-/// units of white, the others are left out; with less, noise would be worse than a clipped neighbour's colour.
-/// (The truth scenes' brackets are off by 0.046, 0.044 and 0.059 stops rms like this, by 0.074, 0.045 and 0.059
-/// without the others anywhere; by 0.042, 0.037 and 0.055 with 0.3 for this, but then what a lamp's colour does
-/// to its surroundings misleads whoever looks for a ball's rim there.)
-const ENOUGH_CLEAN: f32 = 0.02;
 /// How many σ a frame may be off a pixel's mean (methods-capture C3).
 const CONTRADICTING: f32 = 4.0;
 /// σ of what a known tone curve and the exposures are off, as a share of the light.
@@ -113,28 +107,23 @@ impl Stack<'_> {
     }
 
     fn pixel(&self, shown: &[(Shown, f32)], noise: Deviations) -> Merge {
-        let usable = |shown: &Shown, clean: bool| {
-            let apart = self.channels_apart;
-            let channel = |c: usize| f32::from(u8::from(shown.usable(c, apart, clean)));
+        // What is beside a clipped pixel of a JPEG is left out: its colour runs, and a sun's rim rings to well
+        // below the codes that count as clipped.
+        let usable = |shown: &Shown| {
+            let channel = |c: usize| f32::from(u8::from(shown.usable(c, self.channels_apart)));
             Rgb::new(channel(0), channel(1), channel(2))
         };
-        let (mut sum_y, mut sum_t, mut clean_t) = (Rgb::ZERO, Rgb::ZERO, Rgb::ZERO);
+        let (mut sum_y, mut sum_t, mut longest) = (Rgb::ZERO, Rgb::ZERO, Rgb::ZERO);
         for (shown, t) in shown {
-            let usable_here = usable(shown, false);
-            sum_y += usable_here * shown.measured.light;
-            sum_t += usable_here * *t;
-            clean_t += usable(shown, true) * *t;
+            let usable = usable(shown);
+            sum_y += usable * shown.measured.light;
+            sum_t += usable * *t;
+            longest = Rgb::select(usable.cmpgt(Rgb::ZERO), Rgb::splat(*t), longest);
         }
         if sum_t.min_element() <= 0.0 {
             return self.clipped_everywhere(shown, sum_y, sum_t, noise);
         }
         let guess = sum_y / sum_t;
-        let clean = (guess * clean_t).max_element() >= ENOUGH_CLEAN;
-        let usable = |shown: &Shown| usable(shown, clean);
-        let mut longest = Rgb::ZERO;
-        for (shown, t) in shown {
-            longest = Rgb::select(usable(shown).cmpgt(Rgb::ZERO), Rgb::splat(*t), longest);
-        }
         // Weights: whether the frame counts, times how far its code is to be believed.
         let weight = |shown: &Shown, t: f32| {
             let bright = (guess * t).cmpge(Rgb::splat(DARKEST_USED)) | longest.cmpeq(Rgb::splat(t));
@@ -197,7 +186,7 @@ impl Stack<'_> {
             let Measured { light, rounding, .. } = shown.measured;
             // Where it is nearly black and should be, a frame's rounding says what it likes.
             let dark = light.y.max(mean * t) < 4.0 * DARKEST_USED;
-            if dark || !shown.usable(1, self.channels_apart, true) {
+            if dark || !shown.usable(1, self.channels_apart) {
                 return false;
             }
             let of_noise = noise.variance(Rgb::splat(mean * t)).y + rounding.y;
@@ -223,7 +212,7 @@ impl Stack<'_> {
     pub fn alone(&self, slot: usize, x: usize, y: usize, noise: &Noise) -> Option<Merge> {
         let k = self.order[slot];
         let (shown, t) = (self.layers[k].shown(x, y), self.exposures[k] as f32);
-        let usable = |channel| shown.usable(channel, self.channels_apart, true);
+        let usable = |channel| shown.usable(channel, self.channels_apart);
         (0..3).all(usable).then(|| Merge {
             mean: shown.measured.light / t,
             variance: (Deviations::of(noise).variance(shown.measured.light)
@@ -251,7 +240,7 @@ impl Stack<'_> {
             }
             for i in (0..w * h).step_by(step.div_ceil(3)) {
                 let shown = [short, long].map(|layer| layer.shown(i % w, i / w));
-                if !shown.iter().all(|shown| shown.usable(0, false, true)) {
+                if !shown.iter().all(|shown| shown.usable(0, false)) {
                     continue;
                 }
                 for channel in 0..3 {
