@@ -4,6 +4,8 @@
 //! first, each `--step` stops below the one before it, and prints one line of JSON: seconds by CPU time of
 //! all threads for reading and for merging, and the largest memory held.
 
+mod cpu;
+
 use std::error::Error;
 use std::fs;
 use std::path::PathBuf;
@@ -26,16 +28,16 @@ struct Args {
 fn main() -> Result<(), Box<dyn Error>> {
     let args = Args::parse();
     rayon::ThreadPoolBuilder::new().num_threads(args.threads).build_global()?;
-    let start = cpu_seconds();
+    let start = cpu::seconds();
     let read = |path: &PathBuf| photo::read_encoded(path, &ReadOptions::default());
     let photos: Vec<Encoded> = args.photos.iter().map(read).collect::<Result<_, _>>()?;
-    let read = cpu_seconds();
+    let read = cpu::seconds();
     let frames = photos.iter().enumerate().map(|(k, photo)| {
         let exposure = (-args.step * k as f64).exp2();
         Frame { photo, exposure }
     });
     let merged = merge(&frames.collect::<Vec<_>>(), &MergeOptions::default())?;
-    let done = cpu_seconds();
+    let done = cpu::seconds();
     println!(
         "{}",
         serde_json::json!({
@@ -47,16 +49,6 @@ fn main() -> Result<(), Box<dyn Error>> {
         })
     );
     Ok(())
-}
-
-/// Time on a core of all threads so far, seconds: /proc/self/task/*/schedstat, in nanoseconds.
-fn cpu_seconds() -> f64 {
-    let tasks = fs::read_dir("/proc/self/task").into_iter().flatten().flatten();
-    let nanoseconds = tasks.filter_map(|task| {
-        let stat = fs::read_to_string(task.path().join("schedstat")).ok()?;
-        stat.split(' ').next()?.parse::<f64>().ok()
-    });
-    1e-9 * nanoseconds.sum::<f64>()
 }
 
 /// Largest resident memory so far, GB.

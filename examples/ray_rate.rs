@@ -12,6 +12,8 @@
 //!
 //! `docs/bench/README.md` says how it is set against Embree.
 
+mod cpu;
+
 use std::error::Error;
 use std::fs;
 use std::time::Instant;
@@ -50,14 +52,14 @@ fn main() -> Result<(), Box<dyn Error>> {
     let (rays, any) = read_rays(&args.rays)?;
     let pool = rayon::ThreadPoolBuilder::new().num_threads(args.threads).build()?;
     pool.install(|| -> Result<(), String> {
-        let (clock, cpu) = (Instant::now(), cpu_seconds());
+        let (clock, cpu) = (Instant::now(), cpu::seconds());
         let accel = Accel::build(&[&mesh]);
-        let (build_wall, build_cpu) = (clock.elapsed().as_secs_f64(), cpu_seconds() - cpu);
+        let (build_wall, build_cpu) = (clock.elapsed().as_secs_f64(), cpu::seconds() - cpu);
 
         let mut hits = vec![(-1.0_f32, u32::MAX); rays.len()];
         let (mut best_wall, mut best_cpu) = (f64::INFINITY, f64::INFINITY);
         for _ in 0..args.reps {
-            let (clock, cpu) = (Instant::now(), cpu_seconds());
+            let (clock, cpu) = (Instant::now(), cpu::seconds());
             hits.par_chunks_mut(CHUNK).zip(rays.par_chunks(CHUNK)).for_each(|(hits, rays)| {
                 for (hit, ray) in hits.iter_mut().zip(rays) {
                     *hit = if any {
@@ -69,7 +71,7 @@ fn main() -> Result<(), Box<dyn Error>> {
                 }
             });
             best_wall = best_wall.min(clock.elapsed().as_secs_f64());
-            best_cpu = best_cpu.min(cpu_seconds() - cpu);
+            best_cpu = best_cpu.min(cpu::seconds() - cpu);
         }
         let n = rays.len() as f64;
         let hit = hits.iter().filter(|(t, _)| *t >= 0.0).count() as f64;
@@ -93,17 +95,6 @@ fn main() -> Result<(), Box<dyn Error>> {
         }
     })?;
     Ok(())
-}
-
-/// Time on a core of all living threads so far, seconds: /proc/self/task/*/schedstat, in
-/// nanoseconds (the ticks of /proc/self/stat, 10 ms, are too coarse here).
-fn cpu_seconds() -> f64 {
-    let tasks = fs::read_dir("/proc/self/task").into_iter().flatten().flatten();
-    let nanoseconds = tasks.filter_map(|task| {
-        let stat = fs::read_to_string(task.path().join("schedstat")).ok()?;
-        stat.split(' ').next()?.parse::<f64>().ok()
-    });
-    1e-9 * nanoseconds.sum::<f64>()
 }
 
 /// Little-endian words of a file that opens with `magic`.

@@ -4,6 +4,8 @@
 //! Start with [`merge()`]. This room never unwraps or moves a picture except to align a bracket.
 
 mod align;
+#[cfg(test)]
+mod defect_tests;
 pub mod exposure;
 pub mod file;
 mod ghosts;

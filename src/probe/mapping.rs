@@ -219,19 +219,19 @@ pub(super) fn from_axis(theta: f64, p: DVec2) -> DVec3 {
     DVec3::new(way.x, -way.y, -theta.cos())
 }
 
+/// `n` unit directions spread evenly (golden spiral).
+pub(super) fn spread_directions(n: usize) -> impl Iterator<Item = DVec3> {
+    (0..n).map(move |k| {
+        let y = 1.0 - 2.0 * (k as f64 + 0.5) / n as f64;
+        let turn = k as f64 * 2.399_963_229_728_653;
+        let level = (1.0 - y * y).sqrt();
+        DVec3::new(level * turn.cos(), y, level * turn.sin())
+    })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    /// 2000 directions spread evenly (golden spiral), none on an axis.
-    fn directions() -> impl Iterator<Item = DVec3> {
-        (0..2000).map(|k| {
-            let y = 1.0 - 2.0 * (k as f64 + 0.5) / 2000.0;
-            let turn = k as f64 * 2.399_963_229_728_653;
-            let level = (1.0 - y * y).sqrt();
-            DVec3::new(level * turn.cos(), y, level * turn.sin())
-        })
-    }
 
     fn mappings() -> Vec<(&'static str, Box<dyn Mapping>)> {
         vec![
@@ -244,7 +244,7 @@ mod tests {
     #[test]
     fn pixels_invert_directions() {
         for (name, mapping) in mappings() {
-            for direction in directions() {
+            for direction in spread_directions(2000) {
                 let pixel = mapping.pixel(direction).unwrap();
                 // At 1e-8 rad from the mappings' rims f64 itself runs out.
                 let back = mapping.direction(pixel * (1.0 - 1e-16)).unwrap();
@@ -303,7 +303,7 @@ mod tests {
     #[test]
     fn the_sphere_map_of_opengl_is_the_ball_map() {
         let ball = BallMap { size: 300 };
-        for r in directions() {
+        for r in spread_directions(2000) {
             let m = 2.0 * (r.x * r.x + r.y * r.y + (r.z + 1.0).powi(2)).sqrt();
             let gl = DVec2::new(r.x / m + 0.5, 0.5 - r.y / m) * 300.0 - 0.5;
             assert!((ball.pixel(r).unwrap() - gl).length() < 1e-9, "{r}");
@@ -327,7 +327,7 @@ mod tests {
     #[test]
     fn lat_long_reaches_the_rear_half() {
         let lat_long = LatLong { width: 100, height: 50 };
-        let outer = directions()
+        let outer = spread_directions(2000)
             .filter(|&d| {
                 let u = (lat_long.pixel(d).unwrap().x + 0.5) / 100.0;
                 !(0.25..0.75).contains(&u)

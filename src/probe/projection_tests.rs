@@ -9,7 +9,7 @@ use super::cube::{Cube, CubeFaces, CubeLayout};
 use super::fisheye::{Fisheye, Projection};
 use super::layout::Layout;
 use super::lens_picture::LensPicture;
-use super::mapping::{Angular, BallMap, LatLong, Mapping};
+use super::mapping::{Angular, BallMap, LatLong, Mapping, spread_directions};
 use super::panorama::Panorama;
 use super::resample::resample;
 use super::scatter::texel_solid_angle;
@@ -64,16 +64,6 @@ fn projections(size: usize) -> Vec<Projected> {
     all
 }
 
-/// Directions spread evenly (golden spiral).
-fn directions(n: usize) -> impl Iterator<Item = DVec3> {
-    (0..n).map(move |k| {
-        let y = 1.0 - 2.0 * (k as f64 + 0.5) / n as f64;
-        let turn = k as f64 * 2.399_963_229_728_653;
-        let level = (1.0 - y * y).sqrt();
-        DVec3::new(level * turn.cos(), y, level * turn.sin())
-    })
-}
-
 fn there_and_back(projected: &Projected, direction: DVec3) -> Option<DVec3> {
     projected.mapping.direction(projected.mapping.pixel(direction)?)
 }
@@ -84,7 +74,7 @@ fn every_pair_of_projections_returns_every_direction() {
     let mut returned = 0;
     for from in &all {
         for to in &all {
-            for direction in directions(500) {
+            for direction in spread_directions(500) {
                 let Some(back) =
                     there_and_back(from, direction).and_then(|seen| there_and_back(to, seen))
                 else {
@@ -99,7 +89,7 @@ fn every_pair_of_projections_returns_every_direction() {
     // What both show: at least a narrow lens's field of all pairs, everything of most.
     assert!(returned > all.len() * all.len() * 500 / 3, "{returned}");
     for whole in all.iter().filter(|p| !p.name.contains("fisheye") && !p.name.contains('-')) {
-        let seen = directions(500).filter(|&d| there_and_back(whole, d).is_some()).count();
+        let seen = spread_directions(500).filter(|&d| there_and_back(whole, d).is_some()).count();
         assert_eq!(seen, 500, "{} shows all directions", whole.name);
     }
 }
@@ -135,7 +125,7 @@ fn constant_light_stays_constant_through_every_pair_of_projections() {
                     seen += f64::from(out.coverage[(x, y)]) * solid_angle;
                 }
             }
-            let both = directions(2000)
+            let both = spread_directions(2000)
                 .filter(|&d| {
                     there_and_back(to, d).is_some() && there_and_back(from, turn * d).is_some()
                 })
@@ -153,7 +143,7 @@ fn constant_light_stays_constant_through_every_pair_of_projections() {
 }
 
 /// A lat-long with a disc 3 px wide on light of 1, antialiased.
-fn sun(width: usize, towards: DVec3) -> Image<Rgb> {
+pub(super) fn sun(width: usize, towards: DVec3) -> Image<Rgb> {
     let height = width / 2;
     let half_angle = 3.0 * PI / width as f64;
     Image::from_fn(width, height, |x, y| {

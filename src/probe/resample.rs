@@ -378,6 +378,7 @@ fn median_luminance(source: &Radiance, usable: &Image<bool>) -> f32 {
 
 #[cfg(test)]
 mod tests {
+    use super::super::projection_tests::sun;
     use super::*;
     use crate::conventions::{lat_long_direction, lat_long_solid_angle};
     use crate::probe::mapping::Angular;
@@ -390,26 +391,6 @@ mod tests {
             variance: Image::filled(w, h, Rgb::ONE),
             validity: Image::filled(w, h, Validity::Measured),
         }
-    }
-
-    /// A lat-long with a sun-like disc 3 px wide (0.27° half-angle at 2048), antialiased.
-    fn sun(width: usize, towards: DVec3) -> Image<Rgb> {
-        let height = width / 2;
-        let half_angle = 3.0 * std::f64::consts::PI / width as f64;
-        Image::from_fn(width, height, |x, y| {
-            let centre = lat_long_direction(DVec2::new(x as f64, y as f64), width, height);
-            if centre.angle_between(towards) > 4.0 * half_angle {
-                return Rgb::splat(1.0);
-            }
-            let inside = (0..64)
-                .filter(|k| {
-                    let p = DVec2::new((k % 8) as f64, (k / 8) as f64) / 8.0 - 0.4375;
-                    let p = p + DVec2::new(x as f64, y as f64);
-                    lat_long_direction(p, width, height).angle_between(towards) < half_angle
-                })
-                .count();
-            Rgb::splat(1.0 + 1e5 * inside as f32 / 64.0)
-        })
     }
 
     /// Flux and flux-weighted direction of what is brighter than 1.5.

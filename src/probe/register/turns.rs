@@ -11,6 +11,7 @@ use rayon::prelude::*;
 
 use super::pyramid::{Agreement, Level, Sums};
 use crate::conventions::{lat_long_direction, lat_long_pixel};
+use crate::probe::mapping::spread_directions;
 
 const STEP_RAD: f64 = 6.0 * PI / 180.0;
 /// Directions of the first picture that are compared.
@@ -26,7 +27,7 @@ pub(super) const LEAST_OVERLAP_SR: f64 = 0.6;
 /// The best rotations of `b`'s axes to `a`'s, the most likely first, with their evidence.
 pub(super) fn search(a: &Level, b: &Level, n: usize) -> Vec<(DQuat, f64)> {
     let points: Vec<(DVec3, f64)> =
-        spiral(POINTS).filter_map(|d| a.value_at(d).map(|v| (d, v))).collect();
+        spread_directions(POINTS).filter_map(|d| a.value_at(d).map(|v| (d, v))).collect();
     let table: Vec<Option<f64>> = (0..COLUMNS * COLUMNS / 2)
         .map(|k| {
             let pixel = DVec2::new((k % COLUMNS) as f64, (k / COLUMNS) as f64);
@@ -34,7 +35,7 @@ pub(super) fn search(a: &Level, b: &Level, n: usize) -> Vec<(DQuat, f64)> {
         })
         .collect();
     let zeniths = (4.0 * PI / (STEP_RAD * STEP_RAD)) as usize;
-    let mut scored: Vec<(DQuat, f64)> = spiral(zeniths)
+    let mut scored: Vec<(DQuat, f64)> = spread_directions(zeniths)
         .collect::<Vec<_>>()
         .par_iter()
         .flat_map_iter(|&zenith| {
@@ -82,14 +83,4 @@ fn scores(points: &[(DVec3, f64)], table: &[Option<f64>], tilt: DQuat) -> Vec<f6
             if sums.weight < LEAST_OVERLAP_SR { 0.0 } else { Agreement::of(&sums).evidence() }
         })
         .collect()
-}
-
-/// `n` directions spread evenly (golden spiral).
-fn spiral(n: usize) -> impl Iterator<Item = DVec3> {
-    (0..n).map(move |k| {
-        let y = 1.0 - 2.0 * (k as f64 + 0.5) / n as f64;
-        let turn = k as f64 * 2.399_963_229_728_653;
-        let level = (1.0 - y * y).sqrt();
-        DVec3::new(level * turn.cos(), y, level * turn.sin())
-    })
 }
