@@ -11,6 +11,10 @@ use crate::photo::Image;
 
 /// More edge points than this are thinned to the strongest.
 const MAX_EDGES: usize = 60_000;
+/// Changes of log luminance per pixel: what is an edge begins at three times the quiet parts' gradient,
+/// between these.
+const LEAST_STRENGTH: f32 = 0.015;
+const MOST_NOISE: f32 = 0.08;
 
 /// A point where brightness changes, at the middle of the change.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -79,17 +83,9 @@ pub fn edges(log_luminance: &Image<f32>, sigma: f64) -> Vec<Edge> {
     if w < 8 || h < 8 {
         return Vec::new();
     }
-    let smooth = blur(log_luminance, sigma);
-    let gradient = Image::from_fn(w, h, |x, y| {
-        let (l, r) = (x.saturating_sub(1), (x + 1).min(w - 1));
-        let (t, b) = (y.saturating_sub(1), (y + 1).min(h - 1));
-        DVec2::new(
-            f64::from(smooth[(r, y)] - smooth[(l, y)]) / (r - l) as f64,
-            f64::from(smooth[(x, b)] - smooth[(x, t)]) / (b - t) as f64,
-        )
-    });
+    let gradient = gradient(log_luminance, sigma);
     let length = gradient.map(|g| g.length() as f32);
-    let threshold = threshold(&length);
+    let threshold = (3.0 * quiet(&length)).clamp(LEAST_STRENGTH, MOST_NOISE);
     let mut found = Vec::new();
     for y in 2..h - 2 {
         for x in 2..w - 2 {
@@ -117,12 +113,43 @@ pub fn edges(log_luminance: &Image<f32>, sigma: f64) -> Vec<Edge> {
     found
 }
 
-/// Three times the quiet parts' gradient, and at least 1.5 % per pixel.
-fn threshold(length: &Image<f32>) -> f32 {
+/// The least blur, from `sigma` px on in doublings up to `most`, at which a noisy picture's quiet parts make
+/// no edges.
+///
+/// Noise of a given strength makes gradients that fall with the square of the blur.
+pub fn quiet_sigma(log_luminance: &Image<f32>, mut sigma: f64, most: f64) -> f64 {
+    let noisy = |sigma: f64| {
+        let length = gradient(log_luminance, sigma).map(|g| g.length() as f32);
+        3.0 * quiet(&length) > MOST_NOISE
+    };
+    while 2.0 * sigma <= most && noisy(sigma) {
+        sigma *= 2.0;
+    }
+    sigma
+}
+
+/// Gradient of a picture blurred by `sigma` px, per pixel.
+fn gradient(log_luminance: &Image<f32>, sigma: f64) -> Image<DVec2> {
+    let (w, h) = (log_luminance.width(), log_luminance.height());
+    let smooth = blur(log_luminance, sigma);
+    Image::from_fn(w, h, |x, y| {
+        let (l, r) = (x.saturating_sub(1), (x + 1).min(w - 1));
+        let (t, b) = (y.saturating_sub(1), (y + 1).min(h - 1));
+        DVec2::new(
+            f64::from(smooth[(r, y)] - smooth[(l, y)]) / (r - l).max(1) as f64,
+            f64::from(smooth[(x, b)] - smooth[(x, t)]) / (b - t).max(1) as f64,
+        )
+    })
+}
+
+/// The gradient that 30 % of the picture stay below: its noise, where anything in it is smooth.
+fn quiet(length: &Image<f32>) -> f32 {
     let mut sorted = length.pixels().to_vec();
-    let quiet = sorted.len() * 3 / 10;
-    let quiet = *sorted.select_nth_unstable_by(quiet, f32::total_cmp).1;
-    (3.0 * quiet).clamp(0.015, 0.08)
+    let at = sorted.len() * 3 / 10;
+    if sorted.is_empty() {
+        return 0.0;
+    }
+    *sorted.select_nth_unstable_by(at, f32::total_cmp).1
 }
 
 /// Bilinear value, the border repeated.
@@ -156,6 +183,29 @@ mod tests {
             assert!((out.length() - 30.0).abs() < 0.35, "{} px from the centre", out.length());
             assert!(out.normalize().dot(edge.towards) < -0.98);
         }
+    }
+
+    /// A disc of half the light in noise: at the blur that quiets it, far more of the edges are its rim's.
+    #[test]
+    fn noise_is_blurred_until_it_makes_no_edges() {
+        let centre = DVec2::new(150.0, 150.0);
+        let mut random = crate::probe::rim::XorShift(0x1234_5678_9abc_def1);
+        let picture = Image::from_fn(300, 300, |x, y| {
+            let r = (DVec2::new(x as f64, y as f64) - centre).length();
+            let step = if r < 120.0 { -0.7 } else { 0.0 };
+            let noise: f64 = (0..4).map(|_| random.uniform() - 0.5).sum();
+            (step + 0.35 * noise) as f32
+        });
+        let sigma = quiet_sigma(&picture, 0.7, 3.0);
+        let on_rim = |sigma: f64| {
+            let found = edges(&picture, sigma);
+            let near = found.iter().filter(|e| ((e.at - centre).length() - 120.0).abs() < 2.0);
+            near.count() as f64 / found.len() as f64
+        };
+        assert_eq!(sigma, 1.4);
+        assert!(on_rim(sigma) > 5.0 * on_rim(0.7), "{} {}", on_rim(0.7), on_rim(sigma));
+        assert_eq!(quiet_sigma(&picture, 0.7, 1.0), 0.7);
+        assert_eq!(quiet_sigma(&picture.map(|_| 0.0), 0.7, 3.0), 0.7);
     }
 
     #[test]

@@ -28,6 +28,9 @@ const LEAST_RADIUS_PX: f64 = 10.0;
 const FINE_RADIUS_PX: f64 = 450.0;
 /// Blur before edges are taken there: less tells the rim from what is squeezed along it.
 const FINE_SIGMA_PX: f64 = 0.7;
+/// Blur of noisy photographs at most, as a share of the radius: with more of it, what is squeezed along the
+/// rim pulls it in.
+const MOST_BLUR: f64 = 0.004;
 /// Candidates looked at closely.
 const CANDIDATES: usize = 6;
 /// Support beyond chance below which nothing is called a ball. Balls in the photographs this was
@@ -351,7 +354,9 @@ fn look_closer(
         Image::from_fn(size.x, size.y, |x, y| picture[(origin.x + x, origin.y + y)])
     };
     let plate = hints.clean_plate.map(cut);
-    let found = edges::edges(&guide(&cut(picture), plate.as_ref(), factor), FINE_SIGMA_PX);
+    let guide = guide(&cut(picture), plate.as_ref(), factor);
+    let most_blur = MOST_BLUR * r / factor as f64;
+    let found = edges::edges(&guide, edges::quiet_sigma(&guide, FINE_SIGMA_PX, most_blur));
     let scale = factor as f64;
     let edges = plane.edges(&found, origin.as_dvec2(), scale);
     let shows = |p: DVec2| plane.shows(p * scale, 2.0 * scale);
