@@ -58,10 +58,18 @@ use std::path::PathBuf;
 #[derive(Debug, thiserror::Error)]
 pub enum ProbeError {
     #[error(
-        "no mirror ball found: {reason}; give three numbers as a hint: the ball's centre u, v and \
-         radius r in pixels (probe.ball.hint_px or --hint u,v,r)"
+        "no mirror ball found: {reason}; if there is one, give three numbers as a hint: the ball's centre u, v and \
+         radius r in pixels (probe.ball.hint_px or --hint u,v,r); if this is another kind of picture, say which \
+         (--fisheye, --lens, --lat-long; probe.fisheye, probe.panorama)"
     )]
     NoBall { reason: String },
+    #[error(
+        "no mirror ball found: the circle round {:.0}, {:.0} of radius {:.0} px is cut by the frame and has only black \
+         round it, as the border of a fisheye's picture; say that it is one (--fisheye, probe.fisheye), or give the ball's \
+         centre u, v and radius r in pixels as a hint (probe.ball.hint_px or --hint u,v,r)",
+        circle_px[0], circle_px[1], circle_px[2]
+    )]
+    FisheyeBorder { circle_px: [f64; 3] },
     #[error(
         "only {found:.0} % of the edge points lie on one rim, {needed:.0} % are needed: the rim is \
          hidden or something else was taken for it; give a hint (centre u, v and radius r in pixels)"

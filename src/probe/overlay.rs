@@ -63,6 +63,8 @@ mod tests {
                 radius_px: 500.0 * half_angle,
                 sigma_px: 0.3,
                 score: None,
+                agreement: None,
+                before_black: false,
                 rival_px: None,
             };
             let drawn = overlay(&picture, &lens, &found, 300);

@@ -5,6 +5,8 @@
 //! do not do is agree on one circle as narrowly as the rim does. So circles compete by the sectors that
 //! have an edge within a fraction of a pixel, each sector counting by how unlikely that is by chance: in
 //! texture it means nothing. Of circles supported nearly alike the widest is the rim.
+//!
+//! How much of the circle agrees is also what tells a ball from texture ([`Ring::agreement`]).
 
 use glam::DVec2;
 
@@ -24,6 +26,8 @@ const POLISHED: usize = 30;
 const NEARLY: f64 = 0.93;
 /// Half-widths within which edges agree, px: sharp photographs first.
 const WIDTHS_PX: [f64; 4] = [0.15, 0.3, 0.6, 1.2];
+/// Reach of an edge's support, in half-widths of the agreement.
+const KERNEL: f64 = 2.5;
 /// Support at which no wider agreement is looked for, where all of the circle is in the picture.
 const ENOUGH: f64 = 0.4;
 
@@ -33,22 +37,29 @@ pub struct Ring {
     pub radius: f64,
     /// Half-width of the agreement, px.
     pub width: f64,
+    /// Share of the circle in the picture with an edge along it that agrees, 0…1.
+    pub agreement: f64,
 }
 
 /// The narrowest well supported circle near `start`; `None` where there are too few edges.
 pub fn find(edges: &[Edge], start: &Circle) -> Option<Ring> {
     let near = Near::new(edges, start)?;
-    let mut best: Option<(f64, Ring)> = None;
-    for width in WIDTHS_PX {
-        let Some((support, ring)) = near.find(width) else { continue };
-        if best.as_ref().is_none_or(|(most, _)| support > *most) {
-            best = Some((support, ring));
+    let mut best: Option<Ring> = None;
+    // Edges that agree to no better than the band in which they are looked for say nothing.
+    let narrower = |width: &f64| KERNEL * width <= REACH * near.radius;
+    let least = WIDTHS_PX[0];
+    for width in WIDTHS_PX.into_iter().filter(|width| *width == least || narrower(width)) {
+        let Some(mut ring) = near.find(width) else { continue };
+        ring.agreement = (ring.agreement / start.visible).min(1.0);
+        let enough = ring.agreement >= ENOUGH;
+        if best.as_ref().is_none_or(|best| ring.agreement > best.agreement) {
+            best = Some(ring);
         }
-        if support >= ENOUGH * start.visible {
+        if enough {
             break;
         }
     }
-    best.map(|(_, ring)| ring)
+    best
 }
 
 impl Ring {
@@ -119,11 +130,11 @@ impl Near {
     /// Share of the circle with an edge along it, 0…1.
     fn support(&self, (centre, radius): (DVec2, f64), width: f64, worth: &[f64]) -> f64 {
         self.nearest(centre, radius)
-            .map(|(k, off, _)| worth[k] * biweight(off / (2.5 * width)))
+            .map(|(k, off, _)| worth[k] * biweight(off / (KERNEL * width)))
             .sum()
     }
 
-    fn find(&self, width: f64) -> Option<(f64, Ring)> {
+    fn find(&self, width: f64) -> Option<Ring> {
         let worth = self.worth(width);
         let reach = REACH * self.radius;
         let mut pick = OutermostFirst::new(&self.edges, self.centre, self.radius);
@@ -154,7 +165,7 @@ impl Near {
             .filter(|(support, _)| *support >= enough)
             .max_by(|a, b| a.1.1.total_cmp(&b.1.1))?;
         let (support, (centre, radius)) = widest;
-        Some((support, Ring { centre, radius, width }))
+        Some(Ring { centre, radius, width, agreement: support })
     }
 
     /// One Gauss–Newton step of the circle fit to the nearest edges.
@@ -260,6 +271,29 @@ mod tests {
         let ring = find(&half, &start).unwrap();
         let off = (ring.centre - CENTRE).length().max((ring.radius - RADIUS).abs());
         assert!(off < 0.15 && ring.width < 0.2, "{off} px at width {}", ring.width);
+    }
+
+    /// Texture alone: no circle is agreed on, and none more widely than edges are looked for. (Where edges
+    /// lie closer still, other radii have as many, and the circle's score is low.)
+    #[test]
+    fn texture_agrees_on_little_of_any_circle() {
+        for (radius, seed) in [(30.0, 3), (60.0, 4), (250.0, 5)] {
+            let mut random = XorShift(0x1234_5678_9abc_def1 ^ (seed << 20));
+            let start =
+                Circle { centre: CENTRE, radius, support: 1.0, background: 0.0, visible: 1.0 };
+            // An edge in every 100 pixels of the band.
+            let edges: Vec<Edge> = (0..(2.0 * PI * radius * 0.4 * radius / 100.0) as usize)
+                .map(|_| {
+                    let way = DVec2::from_angle(2.0 * PI * random.uniform());
+                    let out = radius * (0.8 + 0.4 * random.uniform());
+                    Edge { at: CENTRE + way * out, towards: way, strength: 0.1 }
+                })
+                .collect();
+            // Small circles have too few edges for any.
+            let Some(ring) = find(&edges, &start) else { continue };
+            assert!(ring.agreement < 0.3, "{radius} px: {}", ring.agreement);
+            assert!(KERNEL * ring.width <= REACH * radius, "{radius} px: {}", ring.width);
+        }
     }
 
     #[test]

@@ -113,7 +113,10 @@ fn unwrap_the_ball(
     let ball = Ball::new(keys.at.into(), keys.radius, reflectance).map_err(|e| e.to_string())?;
     let support =
         place::support_plane(plan, ball.centre).map(|(point, normal)| Support { point, normal });
-    let found = find::find(&radiance.mean, &camera.lens, &hints).map_err(|e| e.to_string())?;
+    let found = find::find(&radiance.mean, &camera.lens, &hints).map_err(|cause| {
+        let photo = plan.probe_photos.first();
+        photo.map_or(cause.to_string(), |photo| format!("{}: {cause}", photo.path.display()))
+    })?;
     let panorama = photographed::ball(&radiance, &camera, &found, &ball, support.as_ref(), None)
         .map_err(|e| e.to_string())?;
     warnings.extend(Doubt::about(&found).into_iter().map(|doubt| {
@@ -532,6 +535,8 @@ mod tests {
             radius_px: 100.0,
             sigma_px: 0.3,
             score: None,
+            agreement: None,
+            before_black: false,
             rival_px: None,
         };
         assert!(misplaced((10.0, -4.0), &found).is_none());

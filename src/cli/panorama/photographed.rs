@@ -117,7 +117,8 @@ fn ball(
         None => None,
     };
     let hints = Hints { circle_px: wishes.hint, clean_plate: plate.as_ref() };
-    let found = find(&radiance.mean, &camera.lens, &hints)?;
+    let found = find(&radiance.mean, &camera.lens, &hints)
+        .map_err(|cause| CliError::wrong(format!("{}: {cause}", photo.path.display())))?;
     let reflectance = wishes.reflectance.unwrap_or(Rgb::ONE);
     let ball = Ball::new(found.centre_of(args.radius, &camera), args.radius, reflectance)?;
     let panorama = photographed::ball(radiance, &camera, &found, &ball, None, args.width)?;

@@ -47,6 +47,8 @@ pub(super) struct BallSummary {
     pub(super) inliers: f64,
     /// `None`: the hint was taken as it is.
     pub(super) score: Option<f64>,
+    /// Share of the rim whose edges agree on one circle; `None` likewise.
+    pub(super) agreement: Option<f64>,
 }
 
 #[derive(Serialize)]
@@ -89,6 +91,7 @@ pub(super) fn summary(
             sigma_direction_deg: b.rim.sigma_direction_rad().to_degrees(),
             inliers: b.rim.inlier_fraction,
             score: b.score,
+            agreement: b.agreement,
         }),
         filled: panorama.share(Validity::Filled),
         sky,

@@ -113,6 +113,65 @@ fn a_picture_without_a_ball_says_so_but_a_hint_is_believed() {
     assert!(found.sigma_px >= 0.99, "{}", found.sigma_px);
 }
 
+/// A wall of printed tags, 6 × 6 cells each, turned and seen slightly blurred.
+fn tags(turn: f64, cell: f64, seed: u64) -> Image<Rgb> {
+    let at = |x: f64, y: f64| -> f32 {
+        let p = DVec2::from_angle(turn).rotate(DVec2::new(x, y)) / cell + 400.0;
+        // A cell of paper between the tags, a black border, and bits.
+        let (tag, bit) = ((p / 9.0).floor(), p.rem_euclid(DVec2::splat(9.0)).floor());
+        if bit.min_element() < 1.0 {
+            return 0.8;
+        }
+        let border = bit.min_element() < 2.0 || bit.max_element() > 7.0;
+        let key = [tag.x, tag.y, bit.x, bit.y].iter().fold(seed, |key, v| {
+            (key ^ *v as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15).rotate_left(29)
+        });
+        if border || key & 1 == 0 { 0.04 } else { 0.8 }
+    };
+    Image::from_fn(480, 360, |x, y| {
+        let sum: f32 = (0..16)
+            .map(|k| at(x as f64 + f64::from(k % 4) / 4.0, y as f64 + f64::from(k / 4) / 4.0))
+            .sum();
+        Rgb::splat(sum / 16.0)
+    })
+}
+
+/// They were taken for balls: among so many edges some lie roughly on a circle.
+#[test]
+fn tags_hold_no_ball() {
+    let lens = Lens::pinhole(420.0, 480, 360);
+    for (turn, cell, seed) in [(0.1, 7.3, 1), (0.4, 11.9, 2), (0.7, 5.1, 3), (1.2, 16.4, 4)] {
+        let said = find(&tags(turn, cell, seed), &lens, &Hints::default());
+        let error = said.map(|b| (b.centre_px, b.radius_px, b.score, b.agreement)).unwrap_err();
+        assert!(matches!(error, ProbeError::NoBall { .. }), "{error}");
+    }
+}
+
+/// Nothing but black lies round a masked ball, as round a fisheye's picture, of which the frame cuts a side.
+#[test]
+fn black_round_a_ball_is_told_and_a_cut_circle_in_black_is_a_fisheye_s() {
+    let lens = lens();
+    let masked = |axis: DVec3| {
+        let mirror = Mirror::new(axis.normalize() * 8.0, 1.0).unwrap();
+        let mut picture = photograph(&lens, 480, 360, axis);
+        for y in 0..360 {
+            for x in 0..480 {
+                let ray = lens.unproject(DVec2::new(x as f64, y as f64)).unwrap();
+                if mirror.reflect(ray).is_none() {
+                    picture[(x, y)] = Rgb::ZERO;
+                }
+            }
+        }
+        find(&picture, &lens, &Hints::default())
+    };
+    let whole = masked(DVec3::new(-0.05, 0.1, -1.0)).unwrap();
+    assert!(whole.before_black && whole.agreement > Some(TRUSTED_AGREEMENT));
+    let cut = masked(DVec3::new(0.58, 0.05, -1.0)).unwrap_err();
+    assert!(matches!(cut, ProbeError::FisheyeBorder { .. }), "{cut}");
+    let unmasked = photograph(&lens, 480, 360, DVec3::new(-0.05, 0.1, -1.0));
+    assert!(!find(&unmasked, &lens, &Hints::default()).unwrap().before_black);
+}
+
 #[test]
 fn edges_seen_straight_behind_do_not_stretch_the_plane_of_the_search() {
     let distortion = Distortion::KannalaBrandt { k1: 0.0, k2: 0.0, k3: 0.0, k4: 0.0 };
