@@ -215,9 +215,7 @@ pub(super) fn refine(
                 warnings.push(Warning::RatioUnchecked { short: name(short), long: name(long) });
             }
             Some(ratio) if ratio.is_curve(label, layers[short].photo) => {
-                // A tone curve of slope γ in log-log turns a ratio r into r^γ.
-                let slope = ratio.log / label.max(0.02);
-                if !CURVE_SLOPES.contains(&slope) {
+                if !may_be_curve(label, ratio.log) {
                     return Err(wrong_label(name(short), name(long), label, ratio.log));
                 }
                 warnings.push(Warning::ToneCurve {
@@ -261,6 +259,16 @@ pub(super) fn refine(
         order.iter().map(|&k| labels[k].ln() - log_exposure[k]).sum::<f64>() / order.len() as f64;
     let exposures = log_exposure.iter().map(|e| (e + mean_off).exp()).collect();
     Ok(Refined { exposures, sigma })
+}
+
+/// Whether a tone curve may have made `measured` of a label, both log ratios of exposures: a curve of slope γ in
+/// log-log turns a ratio r into r^γ. Exposures that hardly differ have no slope: they must be alike.
+fn may_be_curve(label: f64, measured: f64) -> bool {
+    let wrong = (1.0 + WRONG_ABOVE).ln();
+    if label.abs() < wrong {
+        return (measured - label).abs() <= wrong;
+    }
+    CURVE_SLOPES.contains(&(measured / label))
 }
 
 /// A logarithm of a ratio of exposures, in whole thirds of a stop: shutters run in them, whatever round
@@ -327,6 +335,15 @@ fn median(mut values: Vec<f64>) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// ISO that cancels the shutter: 1:1.000 on the label and 1:0.981 in the pixels was called a wrong label.
+    #[test]
+    fn like_exposures_that_measure_alike_are_no_wrong_label() {
+        assert!(may_be_curve(0.0, 0.981f64.ln()) && may_be_curve(0.18, 0.2));
+        assert!(!may_be_curve(0.0, 1.3f64.ln()));
+        let stops = |n: f64| n * std::f64::consts::LN_2;
+        assert!(may_be_curve(stops(2.0), stops(3.0)) && !may_be_curve(stops(2.0), stops(-0.1)));
+    }
 
     #[test]
     fn exposure_needs_time_aperture_and_iso() {
