@@ -155,7 +155,7 @@ fn state(photo: &Encoded, decoder: &Decoder) -> Image<u8> {
     });
     let clipped_reach = if photo.format == Format::Jpeg { JPEG_BLEED_PX } else { 0 };
     let near = spread(&own, clipped_reach);
-    let missing = no_data(photo).map(|mask| spread(&mask, BORDER_BLEED_PX));
+    let missing = no_data(photo, decoder).map(|mask| spread(&mask, BORDER_BLEED_PX));
     for (i, state) in own.pixels_mut().iter_mut().enumerate() {
         *state |= near.pixels()[i] << NEAR_CLIPPED;
     }
@@ -194,23 +194,22 @@ fn spread(bits: &Image<u8>, reach: usize) -> Image<u8> {
 
 /// [`NO_DATA`] where a file holds no picture: where its alpha is 0, and where a pure colour, black and
 /// white apart, fills the frame from its border on, as blue does round Debevec's aligned church.
-fn no_data(photo: &Encoded) -> Option<Image<u8>> {
-    let Samples::U8 { channels, data } = &photo.samples else { return None };
-    let (w, h, channels) = (photo.width, photo.height, *channels);
-    if channels < 3 {
-        return None;
+fn no_data(photo: &Encoded, decoder: &Decoder) -> Option<Image<u8>> {
+    let (w, h) = (photo.width, photo.height);
+    let mut mask = Image::filled(w, h, 0u8);
+    if photo.samples.channels().is_multiple_of(2) {
+        mask.pixels_mut().par_iter_mut().enumerate().for_each(|(i, mask)| {
+            *mask = if decoder.coverage(i) == Some(0.0) { NO_DATA } else { 0 };
+        });
     }
+    let any = |mask: Image<u8>| mask.pixels().iter().any(|&m| m != 0).then_some(mask);
+    let Samples::U8 { channels: channels @ 3.., data } = &photo.samples else { return any(mask) };
+    let channels = *channels;
     let pixel = |i: usize| &data[i * channels..(i + 1) * channels];
     let is_pure = |colour: &[u8]| {
         let extreme = colour[..3].iter().all(|&c| c == 0 || c == 255);
         extreme && colour[..3].iter().any(|&c| c != colour[0])
     };
-    let mut mask = Image::filled(w, h, 0u8);
-    if channels == 4 && data.iter().skip(3).step_by(4).any(|&alpha| alpha == 0) {
-        for i in 0..w * h {
-            mask.pixels_mut()[i] = if pixel(i)[3] == 0 { NO_DATA } else { 0 };
-        }
-    }
     let border = (0..w).flat_map(|x| [x, (h - 1) * w + x]);
     let border = border.chain((0..h).flat_map(|y| [y * w, y * w + w - 1]));
     let mut open: Vec<usize> = border.filter(|&i| is_pure(pixel(i))).collect();
@@ -228,7 +227,7 @@ fn no_data(photo: &Encoded) -> Option<Image<u8>> {
         ];
         open.extend(beside.into_iter().flatten().filter(|&j| pixel(j)[..3] == pixel(i)[..3]));
     }
-    mask.pixels().iter().any(|&m| m != 0).then_some(mask)
+    any(mask)
 }
 
 #[cfg(test)]

@@ -76,7 +76,7 @@ impl Encoded {
         self.remarks.iter().map(|remark| format!("{}: {remark}", self.path.display()))
     }
 
-    fn find_nonfinite(&self) -> Option<NonFinite> {
+    pub(super) fn find_nonfinite(&self) -> Option<NonFinite> {
         if matches!(self.samples, Samples::U8 { .. } | Samples::U16 { .. }) {
             return None;
         }

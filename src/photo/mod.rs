@@ -7,6 +7,7 @@
 pub mod atomic;
 pub mod bytes;
 pub mod colour;
+mod cut_out;
 mod encoded;
 mod error;
 mod exif;
