@@ -7,10 +7,12 @@
 use std::path::{Path, PathBuf};
 
 use glam::DVec2;
+use platelight::bracket::{Frame, MergeOptions, Warning, exposure, merge};
 use platelight::camera::Lens;
 use platelight::camera::lens::focal_px_from_35mm;
-use platelight::photo::{self, ReadOptions};
+use platelight::photo::{self, Encoded, ReadOptions};
 use platelight::probe::ProbeError;
+use platelight::probe::ball_frames::lay_by_ball;
 use platelight::probe::find::{BallImage, Hints, find};
 
 /// A photograph, its focal length in px where EXIF has none, the ball's centre and radius as one sees the
@@ -166,6 +168,38 @@ fn photographs_without_a_ball_say_so() {
             Ok(ball) => panic!("{photo}: a ball at {}, {} px", ball.centre_px, ball.radius_px),
         }
     }
+}
+
+/// Cut out by hand, of five sizes; ISO follows the shutter, so that the first four are one exposure: by time
+/// alone the radiance would be 60 times wrong.
+#[test]
+fn cut_outs_whose_iso_cancels_the_shutter_are_merged_by_time_and_iso() {
+    let Some(folder) = photographs() else { return };
+    let path = |name: &str| folder.join("ball-kitchen-night").join(name);
+    let photos: Vec<Encoded> = ["t1", "t1-4", "t1-15", "t1-60", "t1-250"]
+        .map(|name| {
+            let path = path(&format!("crop_{name}.jpg"));
+            photo::read_encoded(&path, &ReadOptions::default()).unwrap()
+        })
+        .into();
+    let exposures = exposure::from_exif(&photos).unwrap();
+    // t × ISO.
+    for (exposure, expected) in exposures.iter().zip([20.0, 20.0, 250.0 / 15.0, 1000.0 / 60.0, 8.0])
+    {
+        assert!((exposure * 4.0 * 100.0 / expected - 1.0).abs() < 0.03, "{exposures:?}");
+    }
+    let balls: Vec<BallImage> =
+        photos.iter().map(|photo| found(&photo.path, None).1.unwrap()).collect();
+    let laid = lay_by_ball(&photos, &balls).unwrap();
+    let frames = laid.photos.iter().zip(&exposures);
+    let frames: Vec<Frame> = frames.map(|(photo, &exposure)| Frame { photo, exposure }).collect();
+    let merged = merge(&frames, &MergeOptions::default()).unwrap();
+    let cancels = |warning: &&Warning| matches!(warning, Warning::IsoCancels { .. });
+    let told = merged.warnings.iter().find(cancels).map(ToString::to_string);
+    assert!(told.as_ref().is_some_and(|told| told.contains("8.0 stops")), "{told:?}");
+    let lens = Lens::pinhole(800.0, merged.radiance.mean.width(), merged.radiance.mean.height());
+    let ball = find(&merged.radiance.mean, &lens, &Hints::default()).unwrap();
+    assert!((ball.radius_px - 368.0).abs() < 3.0 && !ball.is_weak(), "{ball:?}");
 }
 
 /// A mug that is round below: what cannot be told apart is at least doubted.

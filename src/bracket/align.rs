@@ -14,6 +14,7 @@ use rustfft::{Fft, FftPlanner};
 
 use super::layer::{Layer, catmull_rom};
 use super::warp::{Match, Warp, WarpKind};
+use crate::photo::Encoded;
 
 /// Sides of the squares that are correlated, px: the whole picture reduced, and windows at full size.
 const COARSE: usize = 256;
@@ -69,6 +70,21 @@ pub(super) fn measure(reference: (&Layer, f64), frame: (&Layer, f64)) -> Option<
         }
     }
     Some(still)
+}
+
+/// How far a photograph lies off another of the same size, px: the shift of its middle, and the farthest that a
+/// corner moves by what fits best. Both have their exposures.
+///
+/// `None` where they differ in size or show too little in common.
+pub fn disagreement_px(reference: (&Encoded, f64), other: (&Encoded, f64)) -> Option<(DVec2, f64)> {
+    let size = |photo: &Encoded| (photo.width, photo.height);
+    if size(reference.0) != size(other.0) {
+        return None;
+    }
+    let layers = [Layer::new(reference.0), Layer::new(other.0)];
+    let found = measure((&layers[0], reference.1), (&layers[1], other.1))?;
+    let (w, h) = size(reference.0);
+    Some((found.shift, found.warp.reach_px(w, h).max(found.shift.length())))
 }
 
 /// The lowest rung that windows left out of its fit do not ask to leave, with its warp by all of them.
@@ -362,7 +378,7 @@ impl Correlator {
 mod tests {
     use super::*;
     use crate::conventions::Rgb;
-    use crate::photo::{Encoded, Image, Photo};
+    use crate::photo::{Image, Photo};
 
     /// A smooth scene of blobs, each pixel showing the place that `seen` gives.
     fn scene(w: usize, h: usize, seen: impl Fn(DVec2) -> DVec2) -> Encoded {
@@ -422,6 +438,16 @@ mod tests {
     fn a_still_camera_is_left_alone() {
         let found = found(|p| p);
         assert_eq!((found.kind, found.warp), (WarpKind::None, Warp::IDENTITY));
+    }
+
+    #[test]
+    fn a_photograph_from_elsewhere_is_told_by_how_much() {
+        let shift = DVec2::new(6.0, 61.0);
+        let [a, b] = [DVec2::ZERO, shift].map(|by| scene(420, 400, |p| p - by));
+        let (found, reach) = disagreement_px((&a, 1.0), (&b, 1.0)).unwrap();
+        assert!(found.distance(shift) < 0.2 && (reach - shift.length()).abs() < 0.5, "{found}");
+        assert!(disagreement_px((&a, 1.0), (&a, 1.0)).unwrap().1 < 0.1);
+        assert!(disagreement_px((&a, 1.0), (&scene(400, 400, |p| p), 1.0)).is_none());
     }
 
     #[test]

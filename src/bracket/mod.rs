@@ -20,6 +20,7 @@ mod simulation;
 mod stack;
 mod warp;
 
+pub use self::align::disagreement_px;
 pub use self::lint::Warning;
 pub use self::merge::{Frame, MergeOptions, Merged, ResponseSource, merge};
 pub use self::noise::Noise;

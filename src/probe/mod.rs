@@ -10,6 +10,7 @@
 
 pub mod axes;
 pub mod ball;
+pub mod ball_frames;
 pub mod circles;
 pub mod clipped;
 pub mod combine;

@@ -4,6 +4,7 @@
 //! beside it) → [`summary`]. Several panoramas of one place go through [`merge`].
 
 mod args;
+mod by_ball;
 mod fill_sky;
 mod merge;
 mod photographed;

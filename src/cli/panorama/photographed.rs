@@ -5,14 +5,15 @@ use std::path::PathBuf;
 use glam::{DMat3, DQuat};
 
 use super::args::{FisheyeKind, Source, Wishes};
-use crate::bracket::{self, Frame, MergeOptions, Radiance, exposure};
+use super::by_ball::{self, BallLight};
+use crate::bracket::{self, Frame, MergeOptions, Radiance, Warp, exposure};
 use crate::camera::lens::focal_px_from_35mm;
 use crate::camera::{Camera, Lens, Pose};
 use crate::cli::{CliError, Global};
 use crate::conventions::Rgb;
 use crate::photo::{self, Encoded, Format, Image, Photo};
 use crate::probe::axes::Axes;
-use crate::probe::find::{BallImage, Hints, find};
+use crate::probe::find::BallImage;
 use crate::probe::fisheye::{Fisheye, Projection};
 use crate::probe::layout::Layout;
 use crate::probe::lens_picture::LensPicture;
@@ -56,11 +57,13 @@ pub(super) fn photographed(
     let photos: Vec<Encoded> = read.collect::<Result<_, _>>()?;
     warnings.extend(photos.iter().flat_map(Encoded::named_remarks));
     global.go_on()?;
-    let (radiance, unit) = radiance(wishes, &photos, warnings)?;
-    global.go_on()?;
     if args.kind.ball {
-        return ball(wishes, &photos[0], &radiance, unit, warnings);
+        let merged = by_ball::merge(wishes, photos, warnings)?;
+        global.go_on()?;
+        return ball(wishes, merged, warnings);
     }
+    let Merged { radiance, unit, .. } = merge(wishes, &photos, warnings)?;
+    global.go_on()?;
     through_a_lens(wishes, &photos[0], radiance, unit)
 }
 
@@ -104,27 +107,18 @@ fn through_a_lens(
 
 fn ball(
     wishes: &Wishes,
-    photo: &Encoded,
-    radiance: &Radiance,
-    unit: String,
+    merged: BallLight,
     warnings: &mut Vec<String>,
 ) -> Result<Photographed, CliError> {
     let args = wishes.args;
+    let BallLight { radiance, camera, found, .. } = &merged;
     let size = (radiance.mean.width(), radiance.mean.height());
-    let camera = camera(wishes, photo, size.0, size.1)?;
-    let plate = match &args.clean_plate {
-        Some(path) => Some(photo::read(path, &wishes.read)?.linear),
-        None => None,
-    };
-    let hints = Hints { circle_px: wishes.hint, clean_plate: plate.as_ref() };
-    let found = find(&radiance.mean, &camera.lens, &hints)
-        .map_err(|cause| CliError::wrong(format!("{}: {cause}", photo.path.display())))?;
     let reflectance = wishes.reflectance.unwrap_or(Rgb::ONE);
-    let ball = Ball::new(found.centre_of(args.radius, &camera), args.radius, reflectance)?;
-    let panorama = photographed::ball(radiance, &camera, &found, &ball, None, args.width)?;
-    warnings.extend(Doubt::about(&found).into_iter().map(|doubt| doubt.sentence("--hint")));
+    let ball = Ball::new(found.centre_of(args.radius, camera), args.radius, reflectance)?;
+    let panorama = photographed::ball(radiance, camera, found, &ball, None, args.width)?;
+    warnings.extend(Doubt::about(found).into_iter().map(|doubt| doubt.sentence("--hint")));
     let wants_overlay = args.overlay.is_some();
-    let drawn = wants_overlay.then(|| overlay(&radiance.mean, &camera.lens, &found, 800));
+    let drawn = wants_overlay.then(|| overlay(&radiance.mean, &camera.lens, found, 800));
     if wishes.reflectance.is_none() {
         warnings.push(
             "--reflectance is not given: the ball is taken as perfect, and the light comes out \
@@ -133,7 +127,7 @@ fn ball(
         );
     }
     let seen = Seen::Picture {
-        mapping: Box::new(BallView::new(&camera, &found.rim, &ball, None)?),
+        mapping: Box::new(BallView::new(camera, &found.rim, &ball, None)?),
         size,
         mapping_from_world: camera.pose.rotation().transpose()
             * DMat3::from_quat(wishes.rotation.conjugate()),
@@ -141,6 +135,7 @@ fn ball(
     let seeing = Seeing::ball(&camera.lens, &found.rim, camera.pose.rotation())?;
     let seeing = Some(seeing.rotated(wishes.rotation));
     let panorama = panorama.rotated(wishes.rotation);
+    let BallLight { found, unit, .. } = merged;
     Ok(Photographed { panorama, ball: Some(found), overlay: drawn, seen, seeing, unit })
 }
 
@@ -190,12 +185,23 @@ pub(super) fn mapped(
     })
 }
 
+/// Photographs made one picture of light.
+pub(super) struct Merged {
+    pub(super) radiance: Radiance,
+    /// What a value of 1 means.
+    pub(super) unit: String,
+    /// Where each photograph has the pixels of `radiance`.
+    pub(super) warps: Vec<Warp>,
+    /// Exposure of each photograph, as labelled.
+    pub(super) exposures: Vec<f64>,
+}
+
 /// The photographs as radiance, and its unit: an EXR or HDR as it is, a bracket or a single photograph merged.
-fn radiance(
+pub(super) fn merge(
     wishes: &Wishes,
     photos: &[Encoded],
     warnings: &mut Vec<String>,
-) -> Result<(Radiance, String), CliError> {
+) -> Result<Merged, CliError> {
     if let [only] = photos
         && matches!(only.format, Format::Exr | Format::RadianceHdr)
     {
@@ -206,7 +212,12 @@ fn radiance(
             )));
         }
         let unit = "the value of the file that was read";
-        return Ok((bracket::file::from_picture(&Photo::from(only.clone()))?, unit.into()));
+        return Ok(Merged {
+            radiance: bracket::file::from_picture(&Photo::from(only.clone()))?,
+            unit: unit.into(),
+            warps: vec![Warp::IDENTITY],
+            exposures: vec![1.0],
+        });
     }
     let exposures = match &wishes.times_s {
         Some(times) => exposure::from_times(photos, times)?,
@@ -228,7 +239,8 @@ fn radiance(
               ISO and N, as if 100 and 1"
         }
     };
-    Ok((merged.radiance, unit.into()))
+    let bracket::Merged { radiance, warps, .. } = merged;
+    Ok(Merged { radiance, unit: unit.into(), warps, exposures })
 }
 
 fn fisheye(wishes: &Wishes, kind: FisheyeKind, w: usize, h: usize) -> Result<Fisheye, CliError> {
@@ -243,7 +255,12 @@ fn fisheye(wishes: &Wishes, kind: FisheyeKind, w: usize, h: usize) -> Result<Fis
 }
 
 /// The camera of the photographs: a file, a focal length, or EXIF.
-fn camera(wishes: &Wishes, photo: &Encoded, w: usize, h: usize) -> Result<Camera, CliError> {
+pub(super) fn camera(
+    wishes: &Wishes,
+    photo: &Encoded,
+    w: usize,
+    h: usize,
+) -> Result<Camera, CliError> {
     let args = wishes.args;
     if let Some(path) = &args.camera {
         let camera = crate::camera::file::read(path)?.camera;
