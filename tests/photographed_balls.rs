@@ -6,14 +6,15 @@
 
 use std::path::{Path, PathBuf};
 
-use glam::DVec2;
+use glam::{DVec2, DVec3};
 use platelight::bracket::{Frame, MergeOptions, Warning, exposure, merge};
-use platelight::camera::Lens;
 use platelight::camera::lens::focal_px_from_35mm;
-use platelight::photo::{self, Encoded, ReadOptions};
-use platelight::probe::ProbeError;
+use platelight::camera::{Camera, Lens, Pose};
+use platelight::conventions::{Rgb, luminance};
+use platelight::photo::{self, Encoded, Photo, ReadOptions};
 use platelight::probe::ball_frames::lay_by_ball;
 use platelight::probe::find::{BallImage, Hints, find};
+use platelight::probe::{Ball, ProbeError, photographed};
 
 /// A photograph, its focal length in px where EXIF has none, the ball's centre and radius as one sees the
 /// picture, and how far off they may be, px.
@@ -188,8 +189,13 @@ fn cut_outs_whose_iso_cancels_the_shutter_are_merged_by_time_and_iso() {
     {
         assert!((exposure * 4.0 * 100.0 / expected - 1.0).abs() < 0.03, "{exposures:?}");
     }
-    let balls: Vec<BallImage> =
-        photos.iter().map(|photo| found(&photo.path, None).1.unwrap()).collect();
+    let listed = CUT_OUT.iter().filter(|listed| listed.photo.starts_with("ball-kitchen-night"));
+    let ball = |(photo, listed): (&Encoded, &Listed)| {
+        let lens = Lens::pinhole(800.0, photo.width, photo.height);
+        let hints = Hints { circle_px: Some(listed.circle_px), clean_plate: None };
+        find(&Photo::from(photo.clone()).linear, &lens, &hints).unwrap()
+    };
+    let balls: Vec<BallImage> = photos.iter().zip(listed).map(ball).collect();
     let laid = lay_by_ball(&photos, &balls).unwrap();
     let frames = laid.photos.iter().zip(&exposures);
     let frames: Vec<Frame> = frames.map(|(photo, &exposure)| Frame { photo, exposure }).collect();
@@ -200,6 +206,48 @@ fn cut_outs_whose_iso_cancels_the_shutter_are_merged_by_time_and_iso() {
     let lens = Lens::pinhole(800.0, merged.radiance.mean.width(), merged.radiance.mean.height());
     let ball = find(&merged.radiance.mean, &lens, &Hints::default()).unwrap();
     assert!((ball.radius_px - 368.0).abs() < 3.0 && !ball.is_weak(), "{ball:?}");
+}
+
+/// Lights of the living room as listed: azimuth from straight back to the camera towards the picture's right,
+/// elevation, degrees, each by a flux centroid of what is bright round it.
+#[test]
+fn window_and_spots_of_a_room_come_from_where_they_are_listed() {
+    let Some(folder) = photographs() else { return };
+    let read = |name: &str| {
+        let path = folder.join("ball-livingroom").join(name);
+        photo::read_encoded(&path, &ReadOptions::default()).unwrap()
+    };
+    let photos = ["ball_t1-10.jpg", "ball_t1-40.jpg", "ball_t1-160.jpg"].map(read);
+    let exposures = exposure::from_exif(&photos).unwrap();
+    let frames = photos.iter().zip(&exposures);
+    let frames: Vec<Frame> = frames.map(|(photo, &exposure)| Frame { photo, exposure }).collect();
+    let radiance = merge(&frames, &MergeOptions::default()).unwrap().radiance;
+    let lens = Lens::pinhole(1264.0, 1500, 1000);
+    let camera = Camera { width: 1500, height: 1000, lens, pose: Pose::identity() };
+    let found = find(&radiance.mean, &camera.lens, &Hints::default()).unwrap();
+    let ball = Ball::new(found.centre_of(0.05, &camera), 0.05, Rgb::ONE).unwrap();
+    let panorama = photographed::ball(&radiance, &camera, &found, &ball, None, Some(512)).unwrap();
+    let mut bright: Vec<f32> = panorama.radiance.pixels().iter().map(|l| luminance(*l)).collect();
+    bright.sort_by(f32::total_cmp);
+    let bright = 0.12 * bright[bright.len() * 999 / 1000];
+    // The window's elevation is listed as 10 to 17.
+    for (azimuth, elevation, within) in [(45.0, 14.0, 5.0), (153.0, 52.0, 3.0), (178.0, 46.0, 3.0)]
+    {
+        let (azimuth, up) = (f64::to_radians(azimuth), f64::to_radians(elevation));
+        let listed = DVec3::new(azimuth.sin() * up.cos(), up.sin(), azimuth.cos() * up.cos());
+        let mut sum = DVec3::ZERO;
+        for y in 0..panorama.height() {
+            for x in 0..panorama.width() {
+                let (d, l) = (panorama.direction(x, y), luminance(panorama.radiance[(x, y)]));
+                if l > bright && d.angle_between(listed) < 12f64.to_radians() {
+                    sum += d * f64::from(l) * panorama.solid_angle(y);
+                }
+            }
+        }
+        let off = sum.angle_between(listed).to_degrees();
+        eprintln!("light listed at {elevation}° up: {off:.1}° off");
+        assert!(off < within, "the light listed at {elevation}° up is {off}° off");
+    }
 }
 
 /// A mug that is round below: what cannot be told apart is at least doubted.

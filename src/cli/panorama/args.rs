@@ -19,7 +19,8 @@ use crate::probe::{Ball, ProbeError, file};
 /// Turn photographs of a mirror ball or fisheye, or any map of directions, into a panorama
 ///
 /// Several photographs are a bracket and are merged first. A ball is found without help; look at
-/// --overlay, and give --hint where it is wrong. The panorama's axes are the camera's (it looked
+/// --overlay, and give --hint where it is wrong. Balls cut out by hand may differ in size and place: they are
+/// laid on one another by the ball. The panorama's axes are the camera's (it looked
 /// along -Z, +Y up) unless --camera holds a pose; --rotation turns them. Its unit is the
 /// photographs' linear value divided by their exposure; layers hold variance, validity and coverage.
 /// Two balls seen from 90 to 120 degrees apart show what each alone hides: make a panorama of each, and
