@@ -144,18 +144,27 @@ const WRONG_ABOVE: f64 = 0.25;
 /// Pixels two frames must share for a ratio.
 const MIN_SHARED_PIXELS: usize = 1000;
 /// About this many pixels of larger frames are looked at.
-const MOST_SHARED_PIXELS: usize = 1 << 19;
+const MOST_SHARED_PIXELS: usize = 1 << 18;
 /// Brightness range below which both frames are mostly noise.
 const DARKEST_SHARED: f32 = 0.01;
 /// A ratio that varies by more than this over brightness is a tone curve, not an exposure.
 const CURVE_SPREAD: f64 = 0.10;
 
+/// What neighbouring frames of `order` say of their exposures; `None` where they share too little.
+pub(super) fn ratios(layers: &[Layer], order: &[usize]) -> Vec<Option<Ratio>> {
+    order.windows(2).map(|pair| ratio(&layers[pair[0]], &layers[pair[1]])).collect()
+}
+
 /// Whether neighbouring frames show a tone curve that is not the files' stated one.
-pub(super) fn show_tone_curve(layers: &[Layer], labels: &[f64], order: &[usize]) -> bool {
-    order.windows(2).any(|pair| {
+pub(super) fn show_tone_curve(
+    ratios: &[Option<Ratio>],
+    layers: &[Layer],
+    labels: &[f64],
+    order: &[usize],
+) -> bool {
+    order.windows(2).zip(ratios).any(|(pair, ratio)| {
         let label = (labels[pair[1]] / labels[pair[0]]).ln();
-        ratio(&layers[pair[0]], &layers[pair[1]])
-            .is_some_and(|ratio| ratio.is_curve(label, layers[pair[0]].photo))
+        ratio.as_ref().is_some_and(|ratio| ratio.is_curve(label, layers[pair[0]].photo))
     })
 }
 
@@ -163,7 +172,7 @@ pub(super) fn show_tone_curve(layers: &[Layer], labels: &[f64], order: &[usize])
 const CURVE_SLOPES: std::ops::RangeInclusive<f64> = 0.4..=2.5;
 
 /// What two frames say of the ratio of their exposures.
-struct Ratio {
+pub(super) struct Ratio {
     /// ln(longer/shorter).
     log: f64,
     /// Its standard error.
@@ -197,6 +206,7 @@ pub(super) struct Refined {
 /// # Errors
 /// A label that is more than 25 % away from the pixels.
 pub(super) fn refine(
+    ratios: &[Option<Ratio>],
     layers: &[Layer],
     labels: &[f64],
     order: &[usize],
@@ -205,12 +215,12 @@ pub(super) fn refine(
     let mut log_exposure = vec![0.0; labels.len()];
     let mut sigma = vec![None; labels.len()];
     let mut corrected = false;
-    for pair in order.windows(2) {
+    for (pair, ratio) in order.windows(2).zip(ratios) {
         let (short, long) = (pair[0], pair[1]);
         let label = (labels[long] / labels[short]).ln();
         let name = |k: usize| layers[k].photo.path.clone();
         let mut log = label;
-        match ratio(&layers[short], &layers[long]) {
+        match ratio {
             None => {
                 warnings.push(Warning::RatioUnchecked { short: name(short), long: name(long) });
             }

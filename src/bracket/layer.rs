@@ -5,7 +5,7 @@ use rayon::prelude::*;
 
 use super::warp::Warp;
 use crate::conventions::Rgb;
-use crate::photo::{Decoder, Encoded, Format, Image, Measured, Samples, ToneCurve};
+use crate::photo::{Decoder, Encoded, Format, Image, Measured, Run, Samples, ToneCurve};
 
 /// Bits of a pixel's state: the channel clips; it or a neighbour that its file mixes into it does.
 pub(super) const CLIPS: u8 = 0b111;
@@ -17,6 +17,10 @@ pub(super) const SPOILED: u8 = NO_DATA | CLIPS << NEAR_CLIPPED;
 
 /// Chroma subsampling and ringing carry a clipped pixel's colour this far in a JPEG, px.
 const JPEG_BLEED_PX: usize = 2;
+/// What near by is brighter than this, code 194 of sRGB, may be a clipped pixel itself that rings: a sun's
+/// rim in a JPEG of quality 50 goes down to codes between that and 203. What is darker is only a little noisier
+/// than elsewhere, and often the one frame in which a leaf before the sky is more than black.
+const BESIDE_CLIPPED: f32 = 0.55;
 /// Pictures that were moved before they were stored mix the border colour this far in, px.
 const BORDER_BLEED_PX: usize = 2;
 
@@ -49,9 +53,14 @@ impl Shown {
     /// Whether a channel holds a measurement. `apart`: whatever the other channels do.
     #[inline]
     pub fn usable(&self, channel: usize, apart: bool) -> bool {
-        let clipping = if apart { 1 << channel } else { CLIPS };
-        self.state & (NO_DATA | clipping << NEAR_CLIPPED) == 0
+        self.state & spoils(channel, apart) == 0
     }
+}
+
+/// The bits that make a channel no measurement. `apart`: whatever the other channels do.
+fn spoils(channel: usize, apart: bool) -> u8 {
+    let clipping = if apart { 1 << channel } else { CLIPS };
+    NO_DATA | clipping << NEAR_CLIPPED
 }
 
 impl<'a> Layer<'a> {
@@ -72,6 +81,11 @@ impl<'a> Layer<'a> {
     /// State of a pixel of the photograph itself, wherever it lies in the bracket's grid.
     pub fn state(&self, x: usize, y: usize) -> u8 {
         self.state[(x, y)]
+    }
+
+    /// States of all pixels of the photograph itself, row by row.
+    pub fn states(&self) -> &[u8] {
+        self.state.pixels()
     }
 
     /// Cube root of the green light of a pixel of the photograph itself: the channel with most light and
@@ -99,8 +113,36 @@ impl<'a> Layer<'a> {
         self.interpolated(self.warp.apply(DVec2::new(x as f64, y as f64)))
     }
 
-    /// What a pixel of the bracket's grid shows, if no channel of it is spoiled.
+    /// What so many pixels of the bracket's grid show, from (`x`, `y`) to the right, as many as a run holds at
+    /// most; no trust in what is no measurement. `apart`: a channel counts whatever the others do.
+    pub fn read(&self, (x, y): (usize, usize), pixels: usize, apart: bool, runs: &mut [Run; 3]) {
+        if !self.warp.is_identity() {
+            for i in 0..pixels {
+                let shown = self.shown(x + i, y);
+                let Measured { light, rounding, trust } = shown.measured;
+                for (c, run) in runs.iter_mut().enumerate() {
+                    let trust = if shown.usable(c, apart) { trust[c] } else { 0.0 };
+                    (run.light[i], run.rounding[i], run.trust[i]) = (light[c], rounding[c], trust);
+                }
+            }
+            return;
+        }
+        let first = y * self.photo.width + x;
+        self.decoder.measure(first, pixels, runs);
+        let state = &self.state.pixels()[first..first + pixels];
+        for (c, run) in runs.iter_mut().enumerate() {
+            let spoils = spoils(c, apart);
+            for (trust, state) in run.trust.iter_mut().zip(state) {
+                *trust = if state & spoils == 0 { *trust } else { 0.0 };
+            }
+        }
+    }
+
+    /// Light at a pixel of the bracket's grid, if no channel of it is spoiled.
     pub fn usable(&self, x: usize, y: usize) -> Option<Rgb> {
+        if self.warp.is_identity() {
+            return (self.state(x, y) & SPOILED == 0).then(|| self.own_light(x, y));
+        }
         let shown = self.shown(x, y);
         (shown.state & SPOILED == 0).then_some(shown.measured.light)
     }
@@ -147,49 +189,55 @@ pub(super) fn catmull_rom(t: f64) -> [f32; 4] {
 fn state(photo: &Encoded, decoder: &Decoder) -> Image<u8> {
     let (w, h) = (photo.width, photo.height);
     let mut own = Image::filled(w, h, 0u8);
-    own.pixels_mut().par_chunks_exact_mut(w).enumerate().for_each(|(y, row)| {
-        for (x, state) in row.iter_mut().enumerate() {
-            let [r, g, b] = decoder.clips(y * w + x).map(u8::from);
-            *state = r | g << 1 | b << 2;
+    let rows = own.pixels_mut().par_chunks_exact_mut(w).enumerate();
+    rows.for_each(|(y, row)| decoder.clip_bits(y * w, row));
+    let bleeds = photo.format == Format::Jpeg;
+    let is_bright = |i: usize| decoder.light(i).max_element() > BESIDE_CLIPPED;
+    let mut state = spread(&own, if bleeds { JPEG_BLEED_PX } else { 0 });
+    let rows = state.pixels_mut().par_chunks_exact_mut(w).enumerate();
+    rows.for_each(|(y, row)| {
+        for (x, (state, own)) in row.iter_mut().zip(own.row(y)).enumerate() {
+            let near = *state;
+            *state = *own;
+            if *own != 0 || near != 0 && is_bright(y * w + x) {
+                *state |= near << NEAR_CLIPPED;
+            }
         }
     });
-    let clipped_reach = if photo.format == Format::Jpeg { JPEG_BLEED_PX } else { 0 };
-    let near = spread(&own, clipped_reach);
-    let missing = no_data(photo, decoder).map(|mask| spread(&mask, BORDER_BLEED_PX));
-    for (i, state) in own.pixels_mut().iter_mut().enumerate() {
-        *state |= near.pixels()[i] << NEAR_CLIPPED;
-    }
-    if let Some(missing) = missing {
-        for (state, missing) in own.pixels_mut().iter_mut().zip(missing.pixels()) {
+    if let Some(missing) = no_data(photo, decoder) {
+        let missing = spread(&missing, BORDER_BLEED_PX);
+        for (state, missing) in state.pixels_mut().iter_mut().zip(missing.pixels()) {
             *state |= missing;
         }
     }
-    own
+    state
 }
 
 /// Every pixel takes the bits of all pixels within `reach` along both axes.
 fn spread(bits: &Image<u8>, reach: usize) -> Image<u8> {
-    if reach == 0 || bits.pixels().iter().all(|&b| b == 0) {
-        return bits.clone();
-    }
     let (w, h) = (bits.width(), bits.height());
-    let mut wide = bits.clone();
-    wide.pixels_mut().par_chunks_exact_mut(w).enumerate().for_each(|(y, row)| {
-        let from = bits.row(y);
-        for shift in 1..=reach.min(w - 1) {
-            for x in 0..w - shift {
-                row[x] |= from[x + shift];
-                row[x + shift] |= from[x];
+    let any = |y: usize| bits.row(y).iter().fold(0, |any, bits| any | bits) != 0;
+    let any: Vec<bool> = (0..h).into_par_iter().map(any).collect();
+    let mut wide = Image::filled(w, h, 0u8);
+    wide.pixels_mut().par_chunks_exact_mut(w).enumerate().for_each_init(
+        || vec![0u8; w],
+        |column, (y, row)| {
+            let rows = y.saturating_sub(reach)..(y + reach + 1).min(h);
+            if !rows.clone().any(|y| any[y]) {
+                return;
             }
-        }
-    });
-    let mut both = wide.clone();
-    both.pixels_mut().par_chunks_exact_mut(w).enumerate().for_each(|(y, row)| {
-        for from in y.saturating_sub(reach)..(y + reach + 1).min(h) {
-            row.iter_mut().zip(wide.row(from)).for_each(|(to, from)| *to |= from);
-        }
-    });
-    both
+            column.fill(0);
+            for y in rows {
+                column.iter_mut().zip(bits.row(y)).for_each(|(to, from)| *to |= from);
+            }
+            row.copy_from_slice(column);
+            for shift in 1..=reach.min(w - 1) {
+                row[shift..].iter_mut().zip(&*column).for_each(|(to, from)| *to |= from);
+                row.iter_mut().zip(&column[shift..]).for_each(|(to, from)| *to |= from);
+            }
+        },
+    );
+    wide
 }
 
 /// [`NO_DATA`] where a file holds no picture: where its alpha is 0, and where a pure colour, black and
@@ -235,9 +283,19 @@ mod tests {
     use super::*;
     use crate::photo::Photo;
 
-    /// An 8-bit picture of one grey with some pixels of their own colour.
+    /// An 8-bit picture of one grey, its codes linear, with some pixels of their own colour.
     fn picture(w: usize, h: usize, format: Format, colours: &[(usize, usize, [u8; 3])]) -> Encoded {
-        let mut data = vec![100; w * h * 3];
+        picture_of(w, h, format, 100, colours)
+    }
+
+    fn picture_of(
+        w: usize,
+        h: usize,
+        format: Format,
+        grey: u8,
+        colours: &[(usize, usize, [u8; 3])],
+    ) -> Encoded {
+        let mut data = vec![grey; w * h * 3];
         for &(x, y, colour) in colours {
             data[(y * w + x) * 3..][..3].copy_from_slice(&colour);
         }
@@ -248,14 +306,16 @@ mod tests {
     }
 
     #[test]
-    fn a_clipped_pixel_spoils_its_surroundings_in_a_jpeg_alone() {
-        for (format, reach) in [(Format::Jpeg, 2), (Format::Png, 0)] {
-            let photo = picture(9, 9, format, &[(4, 4, [255, 10, 10])]);
+    fn a_clipped_pixel_spoils_bright_surroundings_in_a_jpeg_alone() {
+        for (format, grey, reach) in
+            [(Format::Jpeg, 150, 2), (Format::Jpeg, 130, 0), (Format::Png, 150, 0)]
+        {
+            let photo = picture_of(9, 9, format, grey, &[(4, 4, [255, 10, 10])]);
             let layer = Layer::new(&photo);
             for y in 0..9usize {
                 for x in 0..9usize {
                     let near = x.abs_diff(4).max(y.abs_diff(4)) <= reach;
-                    assert_eq!(layer.usable(x, y).is_none(), near, "{format:?} ({x}, {y})");
+                    assert_eq!(layer.usable(x, y).is_none(), near, "{format:?} {grey} ({x}, {y})");
                     let shown = layer.shown(x, y);
                     assert_eq!(shown.usable(0, true), !near);
                     assert!(shown.usable(1, true), "green is not clipped");

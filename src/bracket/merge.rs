@@ -117,15 +117,17 @@ pub fn merge(frames: &[Frame], options: &MergeOptions) -> Result<Merged, Bracket
     if options.align {
         align_all(&mut layers, &labels, &order, &mut warnings);
     }
+    let mut ratios = exposure::ratios(&layers, &order);
     let response = match options.response {
         ResponseSource::Stated => None,
-        ResponseSource::WhereShown => exposure::show_tone_curve(&layers, &labels, &order)
+        ResponseSource::WhereShown => exposure::show_tone_curve(&ratios, &layers, &labels, &order)
             .then(|| response::recover(&layers, &labels, &order, false))
             .flatten(),
         ResponseSource::Bracket => response::recover(&layers, &labels, &order, true),
     };
     if let Some(response) = &response {
         layers.iter_mut().for_each(|layer| layer.read_through(&response.curves));
+        ratios = exposure::ratios(&layers, &order);
         warnings.push(Warning::ResponseRecovered {
             factor: response.distance_from_srgb(),
             method: response.method,
@@ -137,7 +139,7 @@ pub fn merge(frames: &[Frame], options: &MergeOptions) -> Result<Merged, Bracket
     let mut sigma_exposures = vec![None; exposures.len()];
     if options.refine_exposures && order.len() > 1 {
         let mut found = Vec::new();
-        let refined = exposure::refine(&layers, &exposures, &order, &mut found)?;
+        let refined = exposure::refine(&ratios, &layers, &exposures, &order, &mut found)?;
         if response.is_none() {
             (exposures, sigma_exposures) = (refined.exposures, refined.sigma);
         } else {

@@ -5,13 +5,14 @@
 //! to black is a bias; hat weights keep them, and are +9 % … ×170 wrong in the dark. No clipped value
 //! ever enters a mean. Codes read through a recovered curve count less towards its ends.
 
+use glam::{BVec4A, Vec4};
 use rayon::prelude::*;
 
 use super::layer::{CLIPS, Layer, NO_DATA, Shown};
 use super::noise::{Noise, Pair};
 use super::{Radiance, Validity};
 use crate::conventions::{LUMINANCE_WEIGHTS, Rgb};
-use crate::photo::{Image, Measured};
+use crate::photo::{Image, Measured, RUN_PX, Run};
 
 /// Linear value, about one code of 8 bits, below which a frame is left out (methods-capture C3).
 const DARKEST_USED: f32 = 0.004;
@@ -61,6 +62,84 @@ impl Deviations {
     }
 }
 
+/// One channel of neighbouring pixels, all frames together.
+#[derive(Clone)]
+struct Sums {
+    /// Of light, each frame's times its weight; and of exposures.
+    light: [f32; RUN_PX],
+    time: [f32; RUN_PX],
+    /// Number of frames that count.
+    frames: [f32; RUN_PX],
+    /// Radiance.
+    mean: [f32; RUN_PX],
+    variance: [f32; RUN_PX],
+}
+
+/// Four neighbouring values of a run: sums are made four at a time, and stay in registers over all frames.
+#[inline]
+fn four(of: &[f32; RUN_PX], at: usize) -> Vec4 {
+    Vec4::from_slice(&of[at..at + 4])
+}
+
+impl Sums {
+    const NONE: Self = Self {
+        light: [0.0; RUN_PX],
+        time: [0.0; RUN_PX],
+        frames: [0.0; RUN_PX],
+        mean: [0.0; RUN_PX],
+        variance: [0.0; RUN_PX],
+    };
+
+    /// Sums `frames`, by rising exposure, each with it.
+    fn fill<'a>(
+        &mut self,
+        frames: impl Iterator<Item = (&'a Run, f32)> + Clone,
+        noise: Deviations,
+    ) {
+        for at in (0..RUN_PX).step_by(4) {
+            let (mut light, mut time, mut longest) = (Vec4::ZERO, Vec4::ZERO, Vec4::ZERO);
+            for (run, t) in frames.clone() {
+                let measured = four(&run.trust, at).cmpgt(Vec4::ZERO);
+                let t = Vec4::select(measured, Vec4::splat(t), Vec4::ZERO);
+                light += Vec4::select(measured, four(&run.light, at), Vec4::ZERO);
+                time += t;
+                longest = longest.max(t);
+            }
+            let guess = light / time;
+
+            // Weights: whether the frame counts, times how far its code is to be believed.
+            let (mut light, mut time, mut counted) = (Vec4::ZERO, Vec4::ZERO, Vec4::ZERO);
+            // Of the weights squared: alone, times exposures, and times the variance of rounding.
+            let (mut squared, mut squared_time) = (Vec4::ZERO, Vec4::ZERO);
+            let mut rounding = Vec4::ZERO;
+            for (run, t) in frames.clone() {
+                let bright = (guess * t).cmpge(Vec4::splat(DARKEST_USED));
+                let counts = bright | longest.cmpeq(Vec4::splat(t));
+                let weight = Vec4::select(counts, four(&run.trust, at), Vec4::ZERO);
+                light += weight * four(&run.light, at);
+                time += weight * t;
+                counted += Vec4::select(weight.cmpgt(Vec4::ZERO), Vec4::ONE, Vec4::ZERO);
+                let weight_squared = weight * weight;
+                squared += weight_squared;
+                squared_time += weight_squared * t;
+                rounding += weight_squared * four(&run.rounding, at);
+            }
+            let mean = light / time;
+            let photons = mean.max(Vec4::ZERO) * noise.per_light * squared_time;
+            let variance = (photons + squared * noise.floor + rounding) / (time * time);
+            for (to, from) in [
+                (&mut self.light, light),
+                (&mut self.time, time),
+                (&mut self.frames, counted),
+                (&mut self.mean, mean),
+                (&mut self.variance, variance),
+            ] {
+                to[at..at + 4].copy_from_slice(&from.to_array());
+            }
+        }
+    }
+}
+
 impl Stack<'_> {
     /// Width and height of the grid.
     pub fn size(&self) -> (usize, usize) {
@@ -85,69 +164,79 @@ impl Stack<'_> {
             .zip(radiance.validity.pixels_mut().par_chunks_exact_mut(w))
             .zip(contradicted.pixels_mut().par_chunks_exact_mut(w))
             .enumerate()
-            .for_each(|(y, (((mean, variance), validity), contradicted))| {
-                let mut shown = Vec::with_capacity(self.order.len());
-                for x in 0..w {
-                    self.show(x, y, &mut shown);
-                    let merge = self.pixel(&shown, noise);
-                    (mean[x], variance[x], validity[x]) =
-                        (merge.mean, merge.variance, merge.validity);
-                    contradicted[x] = merge.validity == Validity::Measured
-                        && self.contradict(&shown, merge.mean.y, noise, 0.0);
-                }
-            });
+            .for_each_init(
+                || (vec![[Run::EMPTY; 3]; self.order.len()], [Sums::NONE; 3]),
+                |(runs, sums), (y, (((mean, variance), validity), contradicted))| {
+                    let mean = mean.chunks_mut(RUN_PX).enumerate();
+                    let mean = mean.map(|(k, mean)| ((k * RUN_PX, y), mean));
+                    let variance = variance.chunks_mut(RUN_PX);
+                    let validity = validity.chunks_mut(RUN_PX);
+                    let contradicted = contradicted.chunks_mut(RUN_PX);
+                    for ((((at, mean), variance), validity), contradicted) in
+                        mean.zip(variance).zip(validity).zip(contradicted)
+                    {
+                        self.sum(at, mean.len(), noise, runs, sums);
+                        let contradictions = self.contradictions(runs, &sums[1], noise);
+                        for i in 0..mean.len() {
+                            let merge = self.pixel((at.0 + i, y), i, sums, noise);
+                            (mean[i], variance[i], validity[i]) =
+                                (merge.mean, merge.variance, merge.validity);
+                            contradicted[i] =
+                                merge.validity == Validity::Measured && contradictions[i];
+                        }
+                    }
+                },
+            );
         (radiance, contradicted)
     }
 
     /// What each frame shows at a pixel, by rising exposure, with its exposure.
-    pub fn show(&self, x: usize, y: usize, shown: &mut Vec<(Shown, f32)>) {
-        shown.clear();
-        let of = |&k: &usize| (self.layers[k].shown(x, y), self.exposures[k] as f32);
-        shown.extend(self.order.iter().map(of));
+    fn show(&self, x: usize, y: usize) -> impl Iterator<Item = (Shown, f32)> + '_ {
+        self.order.iter().map(move |&k| (self.layers[k].shown(x, y), self.exposures[k] as f32))
     }
 
-    fn pixel(&self, shown: &[(Shown, f32)], noise: Deviations) -> Merge {
-        // What is beside a clipped pixel of a JPEG is left out: its colour runs, and a sun's rim rings to well
-        // below the codes that count as clipped.
-        let usable = |shown: &Shown| {
-            let channel = |c: usize| f32::from(u8::from(shown.usable(c, self.channels_apart)));
-            Rgb::new(channel(0), channel(1), channel(2))
-        };
-        let (mut sum_y, mut sum_t, mut longest) = (Rgb::ZERO, Rgb::ZERO, Rgb::ZERO);
-        for (shown, t) in shown {
-            let usable = usable(shown);
-            sum_y += usable * shown.measured.light;
-            sum_t += usable * *t;
-            longest = Rgb::select(usable.cmpgt(Rgb::ZERO), Rgb::splat(*t), longest);
+    /// Sums over the frames of so many pixels of a row from `at` on, in each channel; leaves in `runs` what each
+    /// frame shows there.
+    fn sum(
+        &self,
+        at: (usize, usize),
+        pixels: usize,
+        noise: Deviations,
+        runs: &mut [[Run; 3]],
+        sums: &mut [Sums; 3],
+    ) {
+        for (runs, &k) in runs.iter_mut().zip(self.order) {
+            self.layers[k].read(at, pixels, self.channels_apart, runs);
         }
-        if sum_t.min_element() <= 0.0 {
-            return self.clipped_everywhere(shown, sum_y, sum_t, noise);
+        for (c, sums) in sums.iter_mut().enumerate() {
+            sums.fill(self.frames(runs, c), noise);
         }
-        let guess = sum_y / sum_t;
-        // Weights: whether the frame counts, times how far its code is to be believed.
-        let weight = |shown: &Shown, t: f32| {
-            let bright = (guess * t).cmpge(Rgb::splat(DARKEST_USED)) | longest.cmpeq(Rgb::splat(t));
-            usable(shown) * Rgb::select(bright, shown.measured.trust, Rgb::ZERO)
-        };
-        let (mut sum_y, mut sum_t, mut used) = (Rgb::ZERO, Rgb::ZERO, Rgb::ZERO);
-        for (shown, t) in shown {
-            let w = weight(shown, *t);
-            sum_y += w * shown.measured.light;
-            sum_t += w * *t;
-            used += Rgb::select(w.cmpgt(Rgb::ZERO), Rgb::ONE, Rgb::ZERO);
+    }
+
+    /// What the frames show in a channel, each with its exposure.
+    fn frames<'a>(
+        &'a self,
+        runs: &'a [[Run; 3]],
+        channel: usize,
+    ) -> impl Iterator<Item = (&'a Run, f32)> + Clone {
+        let exposures = self.order.iter().map(|&k| self.exposures[k] as f32);
+        runs.iter().map(move |runs| &runs[channel]).zip(exposures)
+    }
+
+    /// Pixel `at`, whose sums are those of place `i`.
+    fn pixel(&self, at: (usize, usize), i: usize, sums: &[Sums; 3], noise: Deviations) -> Merge {
+        let of =
+            |which: fn(&Sums) -> &[f32; RUN_PX]| Rgb::from([0, 1, 2].map(|c| which(&sums[c])[i]));
+        let time = of(|sums| &sums.time);
+        if time.min_element() <= 0.0 {
+            return self.clipped_everywhere(at, of(|sums| &sums.light), time, noise);
         }
-        let mean = sum_y / sum_t;
-        let mut sum_variance = Rgb::ZERO;
-        for (shown, t) in shown {
-            let w = weight(shown, *t);
-            sum_variance += w * w * (noise.variance(mean * *t) + shown.measured.rounding);
-        }
-        let variance = sum_variance / (sum_t * sum_t);
+        let (mean, variance) = (of(|sums| &sums.mean), of(|sums| &sums.variance));
         // A pixel is too dark when its luminance is, not when a pure colour lacks one channel.
         let sigma = (LUMINANCE_WEIGHTS * LUMINANCE_WEIGHTS).dot(variance).sqrt();
         let validity = if LUMINANCE_WEIGHTS.dot(mean) < 3.0 * sigma {
             Validity::UpperBound
-        } else if used.max_element() >= 2.0 {
+        } else if of(|sums| &sums.frames).max_element() >= 2.0 {
             Validity::Measured
         } else {
             Validity::Single
@@ -159,43 +248,64 @@ impl Stack<'_> {
     /// clipped pixel. Channels that a frame measured (`sum_t` above 0) keep their mean.
     fn clipped_everywhere(
         &self,
-        shown: &[(Shown, f32)],
+        (x, y): (usize, usize),
         sum_y: Rgb,
         sum_t: Rgb,
         noise: Deviations,
     ) -> Merge {
-        let Some((shown, t)) = shown.iter().find(|(shown, _)| shown.state & NO_DATA == 0) else {
+        let Some((shown, t)) = self.show(x, y).find(|(shown, _)| shown.state & NO_DATA == 0) else {
             // Outside every frame: at least nothing.
             let (mean, variance) = (Rgb::ZERO, Rgb::ZERO);
             return Merge { mean, variance, validity: Validity::LowerBound };
         };
         let clips = shown.state & CLIPS != 0;
         let measured = sum_t.cmpgt(Rgb::ZERO);
-        let mean = Rgb::select(measured, sum_y / sum_t, shown.measured.light / *t);
+        let mean = Rgb::select(measured, sum_y / sum_t, shown.measured.light / t);
         let variance = noise.variance(shown.measured.light) / (t * t);
         let validity = if clips { Validity::LowerBound } else { Validity::Single };
         Merge { mean, variance, validity }
     }
 
-    /// Whether one of `shown` contradicts a pixel's mean, in its green: by more than [`CONTRADICTING`] σ of
-    /// the noise, of what curve and exposures are off, and of `sigma` in radiance.
-    fn contradict(&self, shown: &[(Shown, f32)], mean: f32, noise: Deviations, sigma: f32) -> bool {
-        let systematic = (self.systematic as f32 * mean).powi(2) + sigma * sigma;
-        let limit = CONTRADICTING * CONTRADICTING;
-        shown.iter().any(|(shown, t)| {
-            let Measured { light, rounding, .. } = shown.measured;
-            // Where it is nearly black and should be, a frame's rounding says what it likes.
-            let dark = light.y.max(mean * t) < 4.0 * DARKEST_USED;
-            if dark || !shown.usable(1, self.channels_apart) {
-                return false;
+    /// Where one of the frames contradicts the mean in its green.
+    fn contradictions(&self, runs: &[[Run; 3]], green: &Sums, noise: Deviations) -> [bool; RUN_PX] {
+        let mut contradictions = [false; RUN_PX];
+        for (k, contradictions) in contradictions.as_chunks_mut::<4>().0.iter_mut().enumerate() {
+            let at = 4 * k;
+            let mean = four(&green.mean, at);
+            let mut found = BVec4A::FALSE;
+            for (run, t) in self.frames(runs, 1) {
+                let shown = (four(&run.light, at), four(&run.rounding, at));
+                let measured = four(&run.trust, at).cmpgt(Vec4::ZERO);
+                found |= measured & self.contradicts(shown, t, mean, noise, 0.0);
             }
-            let of_noise = noise.variance(Rgb::splat(mean * t)).y + rounding.y;
-            let off = light.y / t - mean;
-            off * off > limit * (of_noise / (t * t) + systematic)
-        })
+            *contradictions = found.into();
+        }
+        contradictions
     }
 
-    /// Whether a frame contradicts a pixel's mean though it may be off by `sigma` for a reason of the place.
+    /// Whether what a frame of exposure `t` shows contradicts the mean of four pixels: by more than
+    /// [`CONTRADICTING`] σ of the noise, of what curve and exposures are off, and of `sigma` in radiance.
+    #[inline]
+    fn contradicts(
+        &self,
+        (light, rounding): (Vec4, Vec4),
+        t: f32,
+        mean: Vec4,
+        noise: Deviations,
+        sigma: f32,
+    ) -> BVec4A {
+        let expected = mean * t;
+        let systematic = expected * self.systematic as f32;
+        let of_noise = expected.max(Vec4::ZERO) * noise.per_light + noise.floor + rounding;
+        let variance = of_noise + systematic * systematic + (sigma * t).powi(2);
+        // Where it is nearly black and should be, a frame's rounding says what it likes.
+        let bright = light.max(expected).cmpge(Vec4::splat(4.0 * DARKEST_USED));
+        let off = light - expected;
+        bright & (off * off).cmpgt(variance * (CONTRADICTING * CONTRADICTING))
+    }
+
+    /// Whether a frame contradicts a pixel's mean in its green though it may be off by `sigma` for a reason
+    /// of the place.
     pub fn contradicted(
         &self,
         (x, y): (usize, usize),
@@ -203,9 +313,13 @@ impl Stack<'_> {
         noise: &Noise,
         sigma: f32,
     ) -> bool {
-        let mut shown = Vec::new();
-        self.show(x, y, &mut shown);
-        self.contradict(&shown, mean, Deviations::of(noise), sigma)
+        let noise = Deviations::of(noise);
+        self.show(x, y).any(|(shown, t)| {
+            let Measured { light, rounding, .. } = shown.measured;
+            let shown_four = (Vec4::splat(light.y), Vec4::splat(rounding.y));
+            shown.usable(1, self.channels_apart)
+                && self.contradicts(shown_four, t, Vec4::splat(mean), noise, sigma).any()
+        })
     }
 
     /// What a pixel is by one frame alone, if that shows it.

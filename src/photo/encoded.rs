@@ -93,6 +93,8 @@ impl Encoded {
 pub struct Decoder<'a> {
     samples: &'a Samples,
     curve: Curve<'a>,
+    /// How far each 8-bit code is to be believed, above 0 and up to 1, where they are not all alike.
+    trust: Option<Box<[f32; 256]>>,
     rec709_from_file: Option<DMat3>,
 }
 
@@ -107,6 +109,23 @@ pub struct Measured {
     /// How far `light` is to be believed beside that of another exposure: 1, and less towards the ends of
     /// a recovered curve.
     pub trust: Rgb,
+}
+
+/// Pixels of a [`Run`], at most.
+pub const RUN_PX: usize = 256;
+
+/// What neighbouring pixels say of the light of one channel: [`Measured`] in columns, for sums over many.
+/// Of a fixed size, for only then are such sums made four at a time.
+#[derive(Clone, Debug)]
+pub struct Run {
+    pub light: [f32; RUN_PX],
+    pub rounding: [f32; RUN_PX],
+    pub trust: [f32; RUN_PX],
+}
+
+impl Run {
+    pub const EMPTY: Self =
+        Self { light: [0.0; RUN_PX], rounding: [0.0; RUN_PX], trust: [0.0; RUN_PX] };
 }
 
 /// What a sample stands for.
@@ -124,8 +143,6 @@ struct Value {
     linear: f32,
     /// Variance of rounding to this code: a uniform error as wide as half the way between its neighbours.
     rounding: f32,
-    /// How far its value is to be believed, above 0 and up to 1.
-    trust: f32,
 }
 
 /// The values of codes whose light is given.
@@ -133,12 +150,12 @@ fn values(linear: &[f32]) -> impl Iterator<Item = Value> + '_ {
     (0..linear.len()).map(|code| {
         let (below, above) = (code.saturating_sub(1), (code + 1).min(linear.len() - 1));
         let step = (linear[above] - linear[below]) / (above - below) as f32;
-        Value { linear: linear[code], rounding: step * step / 12.0, trust: 1.0 }
+        Value { linear: linear[code], rounding: step * step / 12.0 }
     })
 }
 
 fn table8(linear: [f32; 256]) -> [Value; 256] {
-    let mut table = [Value { linear: 0.0, rounding: 0.0, trust: 1.0 }; 256];
+    let mut table = [Value { linear: 0.0, rounding: 0.0 }; 256];
     table.iter_mut().zip(values(&linear)).for_each(|(to, value)| *to = value);
     table
 }
@@ -161,6 +178,7 @@ impl<'a> Decoder<'a> {
         Self {
             samples: &picture.samples,
             curve,
+            trust: None,
             rec709_from_file: matrix.filter(|matrix| *matrix != DMat3::IDENTITY),
         }
     }
@@ -169,16 +187,13 @@ impl<'a> Decoder<'a> {
     /// codes.
     pub fn through(picture: &'a Encoded, curves: &[ToneCurve; 3]) -> Option<Self> {
         let Samples::U8 { .. } = picture.samples else { return None };
-        let table = |curve: &ToneCurve| {
-            let mut table = table8(std::array::from_fn(|code| curve.linear(code as u8)));
-            // Few samples say what the codes at both ends stand for: Debevec and Malik's hat.
-            for (code, value) in table.iter_mut().enumerate() {
-                value.trust = code.min(255 - code).max(1) as f32 / 127.0;
-            }
-            table
-        };
+        let table =
+            |curve: &ToneCurve| table8(std::array::from_fn(|code| curve.linear(code as u8)));
         let tables = Box::new([table(&curves[0]), table(&curves[1]), table(&curves[2])]);
-        Some(Self { curve: Curve::Table8(tables), ..picture.decoder() })
+        // Few samples say what the codes at both ends stand for: Debevec and Malik's hat.
+        let trust = std::array::from_fn(|code: usize| code.min(255 - code).max(1) as f32 / 127.0);
+        let (curve, trust) = (Curve::Table8(tables), Some(Box::new(trust)));
+        Some(Self { curve, trust, ..picture.decoder() })
     }
 
     /// Light of pixel `i`; channels that are not finite are 0.
@@ -217,33 +232,59 @@ impl<'a> Decoder<'a> {
     /// Light of pixel `i` and how good it is.
     #[inline]
     pub fn measured(&self, i: usize) -> Measured {
+        let rounding = match (self.samples, &self.curve) {
+            (Samples::U8 { channels, data }, Curve::Table8(table)) => {
+                let [r, g, b] = colours(data, *channels, i).map(usize::from);
+                Rgb::new(table[0][r].rounding, table[1][g].rounding, table[2][b].rounding)
+            }
+            (Samples::U16 { channels, data }, Curve::Table16(table)) => {
+                let codes = colours(data, *channels, i);
+                Rgb::from(codes.map(|code| table[usize::from(code)].rounding))
+            }
+            _ => Rgb::ZERO,
+        };
+        let trust = match (self.samples, &self.trust) {
+            (Samples::U8 { channels, data }, Some(trust)) => {
+                Rgb::from(colours(data, *channels, i).map(|code| trust[usize::from(code)]))
+            }
+            _ => Rgb::ONE,
+        };
+        Measured { light: self.light(i), rounding, trust }
+    }
+
+    /// Light of so many pixels from `first` on, and how good it is, in red, green and blue. At most
+    /// [`RUN_PX`]; what follows them in the runs stays.
+    pub fn measure(&self, first: usize, pixels: usize, runs: &mut [Run; 3]) {
         if self.rec709_from_file.is_none()
             && let (Samples::U8 { channels, data }, Curve::Table8(table)) =
                 (self.samples, &self.curve)
         {
-            let [r, g, b] = colours(data, *channels, i).map(usize::from);
-            let [r, g, b] = [table[0][r], table[1][g], table[2][b]];
-            return Measured {
-                light: Rgb::new(r.linear, g.linear, b.linear),
-                rounding: Rgb::new(r.rounding, g.rounding, b.rounding),
-                trust: Rgb::new(r.trust, g.trust, b.trust),
-            };
+            let codes = &data[first * channels..(first + pixels) * channels];
+            for (c, (run, table)) in runs.iter_mut().zip(&**table).enumerate() {
+                let own = if *channels >= 3 { c } else { 0 };
+                let codes = codes[own..].iter().step_by(*channels).map(|&code| usize::from(code));
+                for ((light, rounding), code) in
+                    run.light.iter_mut().zip(&mut run.rounding).zip(codes.clone())
+                {
+                    (*light, *rounding) = (table[code].linear, table[code].rounding);
+                }
+                match &self.trust {
+                    Some(table) => {
+                        run.trust
+                            .iter_mut()
+                            .zip(codes)
+                            .for_each(|(trust, code)| *trust = table[code]);
+                    }
+                    None => run.trust = [1.0; RUN_PX],
+                }
+            }
+            return;
         }
-        let of = |which: fn(Value) -> f32, float: f32| match (self.samples, &self.curve) {
-            (Samples::U8 { channels, data }, Curve::Table8(table)) => {
-                let [r, g, b] = colours(data, *channels, i).map(usize::from);
-                Rgb::new(which(table[0][r]), which(table[1][g]), which(table[2][b]))
+        for i in 0..pixels {
+            let Measured { light, rounding, trust } = self.measured(first + i);
+            for (c, run) in runs.iter_mut().enumerate() {
+                (run.light[i], run.rounding[i], run.trust[i]) = (light[c], rounding[c], trust[c]);
             }
-            (Samples::U16 { channels, data }, Curve::Table16(table)) => {
-                let codes = colours(data, *channels, i);
-                Rgb::from(codes.map(|code| which(table[usize::from(code)])))
-            }
-            _ => Rgb::splat(float),
-        };
-        Measured {
-            light: self.light(i),
-            rounding: of(|value| value.rounding, 0.0),
-            trust: of(|value| value.trust, 1.0),
         }
     }
 
@@ -281,6 +322,33 @@ impl<'a> Decoder<'a> {
             }
             Samples::F32 { channels, data } => {
                 colours(data, *channels, i).map(|value| value == f32::INFINITY)
+            }
+        }
+    }
+
+    /// [`Self::clips`] of the pixels from `first` on, as the bits 1, 2 and 4.
+    pub fn clip_bits(&self, first: usize, bits: &mut [u8]) {
+        let bits_of = |[r, g, b]: [bool; 3]| u8::from(r) | u8::from(g) << 1 | u8::from(b) << 2;
+        match self.samples {
+            Samples::U8 { channels: 3, data } => {
+                // Most stretches of most pictures clip nowhere.
+                const STRETCH_PX: usize = 64;
+                let codes = &data[3 * first..3 * (first + bits.len())];
+                let stretches = bits.chunks_mut(STRETCH_PX).zip(codes.chunks(3 * STRETCH_PX));
+                for (bits, codes) in stretches {
+                    if codes.iter().fold(0, |most: u8, &code| most.max(code)) < CLIP_8BIT {
+                        bits.fill(0);
+                        continue;
+                    }
+                    for (bits, code) in bits.iter_mut().zip(codes.as_chunks::<3>().0) {
+                        *bits = bits_of(code.map(|code| code >= CLIP_8BIT));
+                    }
+                }
+            }
+            _ => {
+                for (i, bits) in bits.iter_mut().enumerate() {
+                    *bits = bits_of(self.clips(first + i));
+                }
             }
         }
     }

@@ -30,7 +30,7 @@ mod tone_curve;
 mod ward;
 
 pub use self::colour::NamedColour;
-pub use self::encoded::{Decoder, Encoded, Measured};
+pub use self::encoded::{Decoder, Encoded, Measured, RUN_PX, Run};
 pub use self::error::PhotoError;
 pub use self::image::Image;
 pub use self::radiance_hdr::Mantissa;
