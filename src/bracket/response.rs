@@ -15,6 +15,7 @@
 //! Needs trusted exposure ratios: a wrong exponent in them is one in the curve (Grossberg & Nayar 2003).
 
 use nalgebra::{DMatrix, DVector};
+use rayon::prelude::*;
 
 use super::layer::{Layer, NO_DATA};
 use crate::photo::{Samples, ToneCurve, colour::srgb_decode};
@@ -60,9 +61,9 @@ impl Response {
 /// Smoothness λ of Debevec and Malik's curve for a thousand samples (methods-capture C3: 0.2 % on an S-curve);
 /// λ² grows with their number, or the curve would follow their noise.
 const SMOOTHNESS: f64 = 50.0;
-/// Sample pixels of each channel, at most. Many, from anywhere: a thousand from flat places alone, which
-/// methods-capture C3 asks for, are mostly dark ones in a real bracket, and put the red of Debevec's church
-/// 0.041 stops off where ten thousand put it 0.027.
+/// Sample pixels of each channel, at most. methods-capture C3 asks for a thousand, evenly from the codes of
+/// the middle frame: over Debevec's church that puts the radiance .041 / .051 / .048 stops off where as many
+/// as there are, from anywhere flat, put it .027 / .038 / .041.
 const SAMPLES: usize = 10_000;
 /// Fewer say too little about 256 codes.
 const FEWEST_SAMPLES: usize = 250;
@@ -94,20 +95,14 @@ pub(super) fn recover(
         return None;
     }
     let logs: Vec<f64> = order.iter().map(|&k| exposures[k].ln()).collect();
-    let together: Vec<Sample> = interleaved(&samples);
     let methods =
         [ResponseMethod::DebevecMalik, ResponseMethod::Robertson, ResponseMethod::MitsunagaNayar];
-    let judged = methods.map(|method| {
-        let shared = held_out(&together, &logs, method);
-        let apart = samples.each_ref().map(|channel| held_out(channel, &logs, method));
-        (method, shared, apart)
-    });
-    let each = |apart: &[HeldOut; 3]| HeldOut {
-        mean: apart.iter().map(|a| a.mean).sum::<f64>() / 3.0,
-        sigma: apart.iter().map(|a| a.sigma * a.sigma).sum::<f64>().sqrt() / 3.0,
+    let best = |shared: bool| {
+        let judged = methods.map(|method| (method, held_out(&samples, &logs, method, shared)));
+        first_good(judged.into_iter())
     };
-    let (method, shared) = first_good(judged.iter().map(|j| (j.0, j.1)))?;
-    let best_apart = first_good(judged.iter().map(|j| (j.0, each(&j.2))))?;
+    let (method, shared) = best(true)?;
+    let best_apart = best(false)?;
     // One curve for all, unless one for each explains more than the scatter of the parts allows.
     if best_apart.1.clearly_below(&shared) && !one_curve {
         let curve = |channel: usize| anchored(solve(&samples[channel], &logs, best_apart.0)?);
@@ -116,7 +111,7 @@ pub(super) fn recover(
             return Some(Response { curves: [r, g, b], per_channel: true, method, held_out });
         }
     }
-    let curve = anchored(solve(&together, &logs, method)?)?;
+    let curve = anchored(solve(&samples.concat(), &logs, method)?)?;
     let curves = [curve.clone(), curve.clone(), curve];
     Some(Response { curves, per_channel: false, method, held_out: shared.mean })
 }
@@ -128,15 +123,6 @@ fn first_good(
     judged
         .filter(|(_, held_out)| held_out.mean.is_finite())
         .reduce(|best, next| if next.1.clearly_below(&best.1) { next } else { best })
-}
-
-/// One list of the channels' samples, in turns.
-fn interleaved(samples: &[Vec<Sample>; 3]) -> Vec<Sample> {
-    let longest = samples.iter().map(Vec::len).max().unwrap_or(0);
-    (0..longest)
-        .flat_map(|i| samples.iter().filter_map(move |channel| channel.get(i)))
-        .cloned()
-        .collect()
 }
 
 /// The frames' 8-bit codes on one grid.
@@ -172,43 +158,50 @@ impl<'a> Codes<'a> {
         shows.then(|| data[(y * self.width + x) * channels + channel])
     }
 
-    /// Pixels spread over the codes of the middle frame: each a code for every frame.
+    /// Pixels from all over the picture, of the half that lies in flatter places: each a code for every frame.
+    ///
+    /// Not chosen by their codes: what is chosen for a rare code of one frame is mostly an edge or noise
+    /// there, and bends the curve towards that frame's errors.
     fn samples(&self, channel: usize) -> Vec<Sample> {
-        const BANDS: usize = 16;
-        let middle = self.data.len() / 2;
-        let mut bands = vec![Vec::new(); BANDS];
-        // A scattered order (golden-ratio steps) fills the bands from all over the picture.
+        // A scattered order (golden-ratio steps).
         let n = (self.width * self.height) as u64;
         let step = ((n as f64 * 0.618_033_988_75) as u64) | 1;
-        let mut at = 0;
-        for _ in 0..n.min(200_000) {
-            at = (at + step) % n;
-            let (x, y) = (at as usize % self.width, at as usize / self.width);
-            let codes: Option<Sample> =
-                (0..self.data.len()).map(|k| self.code(k, x, y, channel)).collect();
-            let Some(codes) = codes else { continue };
-            let band: &mut Vec<Sample> = &mut bands[usize::from(codes[middle]) * BANDS / 256];
+        let scattered = (1..=n.min(200_000)).map(|k| {
+            let at = (k as u128 * u128::from(step) % u128::from(n)) as usize;
+            (at % self.width, at / self.width)
+        });
+        let seen = |(x, y): (usize, usize)| {
+            let codes = (0..self.data.len()).map(|k| self.code(k, x, y, channel));
+            let codes = codes.collect::<Option<Sample>>()?;
             let seen_twice = codes.iter().filter(|&&c| weight(c) > 4.0).count() >= 2;
-            if seen_twice && band.len() < SAMPLES {
-                band.push(codes);
-            }
+            seen_twice.then(|| (self.steepness((x, y), channel), codes))
+        };
+        let seen: Vec<(u8, Sample)> = scattered.filter_map(seen).take(2 * SAMPLES).collect();
+        let mut steepness: Vec<u8> = seen.iter().map(|(steepness, _)| *steepness).collect();
+        if steepness.is_empty() {
+            return Vec::new();
         }
-        // Evenly from all bands; what empty ones leave, the fuller ones give.
-        let mut samples = Vec::new();
-        bands.sort_by_key(Vec::len);
-        for (i, band) in bands.iter().enumerate() {
-            let share = (SAMPLES - samples.len()) / (BANDS - i);
-            samples.extend_from_slice(&band[..band.len().min(share)]);
-        }
-        // In a scattered order again: every part of them has all bands.
-        let n = samples.len();
-        let stride = (1..n).rev().find(|s| gcd(*s, n) == 1 && *s * 5 < n * 2).unwrap_or(1);
-        (0..n).map(|i| samples[i * stride % n].clone()).collect()
+        let middle = steepness.len() / 2;
+        let limit = *steepness.select_nth_unstable(middle).1;
+        let flat = seen.into_iter().filter(|(steepness, _)| *steepness <= limit);
+        flat.map(|(_, codes)| codes).take(SAMPLES).collect()
     }
-}
 
-fn gcd(a: usize, b: usize) -> usize {
-    if b == 0 { a } else { gcd(b, a % b) }
+    /// Largest difference of a code to one of the four beside it, over the frames.
+    fn steepness(&self, (x, y): (usize, usize), channel: usize) -> u8 {
+        let beside = [
+            (x.saturating_sub(1), y),
+            ((x + 1).min(self.width - 1), y),
+            (x, y.saturating_sub(1)),
+            (x, (y + 1).min(self.height - 1)),
+        ];
+        let of_frame = |k: usize| {
+            let own = self.code(k, x, y, channel)?;
+            let others = beside.iter().filter_map(|&(x, y)| self.code(k, x, y, channel));
+            others.map(|code| code.abs_diff(own)).max()
+        };
+        (0..self.data.len()).filter_map(of_frame).max().unwrap_or(0)
+    }
 }
 
 /// Debevec & Malik's hat: no trust in codes at either end; none at all in clipped ones.
@@ -233,33 +226,53 @@ impl HeldOut {
     }
 }
 
-/// Fits each method to all samples but a fold, and judges it by that fold.
-fn held_out(samples: &[Sample], log_exposures: &[f64], method: ResponseMethod) -> HeldOut {
-    let folds: Option<Vec<f64>> = (0..FOLDS)
-        .map(|fold| {
-            let of_fold = |(i, _): &(usize, &Sample)| i % FOLDS == fold;
-            let (tested, fitted): (Vec<_>, Vec<_>) =
-                samples.iter().enumerate().partition(|sample| of_fold(sample));
-            let fitted: Vec<Sample> =
-                fitted.into_iter().map(|(_, sample)| sample.clone()).collect();
-            let curve = anchored(solve(&fitted, log_exposures, method)?)?;
-            let mut bands = vec![Vec::new(); 256 / BAND];
-            for (_, sample) in tested {
-                for (code, off) in deviations(sample, &curve, log_exposures) {
-                    bands[usize::from(code) / BAND].push(off);
-                }
-            }
-            let medians: Vec<f64> =
-                bands.into_iter().filter(|band| band.len() >= FEWEST_IN_BAND).map(median).collect();
-            let squares: f64 = medians.iter().map(|m| m * m).sum();
-            (!medians.is_empty()).then(|| (squares / medians.len() as f64).sqrt())
-        })
-        .collect();
+/// Fits a method to all samples but a fold, and judges it by that fold; each channel by itself even where
+/// they share a curve, for what is too bright in one and too dark in another would cancel.
+fn held_out(
+    samples: &[Vec<Sample>; 3],
+    log_exposures: &[f64],
+    method: ResponseMethod,
+    shared: bool,
+) -> HeldOut {
+    let curve_of = |fitted: &[Sample]| anchored(solve(fitted, log_exposures, method)?);
+    let of_fold = |fold: usize| -> Option<f64> {
+        let part = |channel: &Vec<Sample>, within: bool| -> Vec<Sample> {
+            let chosen = channel.iter().enumerate().filter(|(i, _)| (i % FOLDS == fold) == within);
+            chosen.map(|(_, sample)| sample.clone()).collect()
+        };
+        let fitted = samples.each_ref().map(|channel| part(channel, false));
+        let curves = if shared {
+            let curve = curve_of(&fitted.concat())?;
+            [curve.clone(), curve.clone(), curve]
+        } else {
+            [curve_of(&fitted[0])?, curve_of(&fitted[1])?, curve_of(&fitted[2])?]
+        };
+        let mut sum = 0.0;
+        for (channel, curve) in samples.iter().zip(&curves) {
+            sum += unexplained(&part(channel, true), curve, log_exposures)?;
+        }
+        Some(sum / 3.0)
+    };
+    let folds: Option<Vec<f64>> = (0..FOLDS).into_par_iter().map(of_fold).collect();
     let Some(folds) = folds else { return HeldOut { mean: f64::INFINITY, sigma: 0.0 } };
     let n = folds.len() as f64;
     let mean = folds.iter().sum::<f64>() / n;
     let variance = folds.iter().map(|f| (f - mean).powi(2)).sum::<f64>() / (n - 1.0);
     HeldOut { mean, sigma: (variance / n).sqrt() }
+}
+
+/// Root mean square over the bands of codes of the samples' median deviation; `None` of too few samples.
+fn unexplained(samples: &[Sample], curve: &ToneCurve, log_exposures: &[f64]) -> Option<f64> {
+    let mut bands = vec![Vec::new(); 256 / BAND];
+    for sample in samples {
+        for (code, off) in deviations(sample, curve, log_exposures) {
+            bands[usize::from(code) / BAND].push(off);
+        }
+    }
+    let medians: Vec<f64> =
+        bands.into_iter().filter(|band| band.len() >= FEWEST_IN_BAND).map(median).collect();
+    let squares: f64 = medians.iter().map(|m| m * m).sum();
+    (!medians.is_empty()).then(|| (squares / medians.len() as f64).sqrt())
 }
 
 /// How far the log radiance by each code of a sample is from their mean by Debevec and Malik's weight; codes
