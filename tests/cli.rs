@@ -72,6 +72,9 @@ fn a_panorama_s_arguments_are_judged_before_anything_is_read() {
         (vec!["a.exr", "b.exr", "--merge", "--photographer", "120"], "--photographer"),
         (vec!["a.exr", "b.exr", "--merge", "--match", "1,2,3"], "each match takes four"),
         (vec!["a.exr", "--lat-long", "--match", "1,2,3,4"], "--merge"),
+        (vec!["a.exr", "--lat-long", "--radius", "0.1"], "--radius is for --ball"),
+        (vec!["a.jpg", "--fisheye", "equidistant", "--hint", "1,2,3"], "--hint is for --ball"),
+        (vec!["a.jpg", "--ball", "--circle", "1,2,3"], "--circle is for --fisheye"),
     ] {
         let all = [&["panorama"], arguments.as_slice(), &out].concat();
         let output = platelight(&all);

@@ -203,3 +203,55 @@ fn wrong_wishes_are_refused_before_anything_is_written() {
     let output = platelight(&["panorama", text(&world), "--lat-long", "-o", text(&named)]);
     assert!(String::from_utf8_lossy(&output.stderr).contains(".hdr"));
 }
+
+/// By the batch's rules: a bad one stops nothing, and what is done already may be left alone.
+#[test]
+fn a_folder_of_maps_becomes_a_folder_of_panoramas() {
+    let folder = tempfile::tempdir().unwrap();
+    let maps = folder.path().join("maps");
+    std::fs::create_dir(&maps).unwrap();
+    let world = written(&maps);
+    std::fs::copy(&world, maps.join("again.exr")).unwrap();
+    std::fs::write(maps.join("notes.txt"), "no picture").unwrap();
+    let whole = std::fs::read(&world).unwrap();
+    std::fs::write(maps.join("cut.exr"), &whole[..whole.len() / 2]).unwrap();
+    let (out, seen) = (folder.path().join("out"), folder.path().join("seen"));
+    let mut arguments = vec!["panorama", text(&maps), "--lat-long", "-o", text(&out), "--json"];
+    arguments.extend(["--preview", text(&seen), "--skip-existing"]);
+
+    let run = || {
+        let output = platelight(&arguments);
+        let said: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+        assert_eq!(output.status.code(), Some(1), "{said}");
+        assert_eq!(
+            said,
+            serde_json::from_slice::<serde_json::Value>(
+                &std::fs::read(out.join("batch.json")).unwrap()
+            )
+            .unwrap()
+        );
+        said
+    };
+    let said = run();
+    assert_eq!(said.as_array().unwrap().len(), 3);
+    assert!(said[1]["problem"].as_str().unwrap().contains("cut.exr"), "{said}");
+    for name in ["world", "again"] {
+        check(&out.join(name).with_extension("exr"), 2e-3);
+        assert!(seen.join(name).with_extension("png").exists());
+    }
+    assert!(!out.join("cut.exr").exists() && !out.join("notes.exr").exists());
+    let said = run();
+    assert_eq!((&said[0]["skipped"], &said[2]["skipped"]), (&true.into(), &true.into()), "{said}");
+
+    // What is no folder's matter, and a file where a folder must be.
+    for (arguments, told) in [
+        (vec!["panorama", text(&world), "--lat-long", "-o", "p.exr", "--group", "3"], "--group"),
+        (vec!["panorama", text(&maps), "--merge", "-o", text(&out)], "name the pictures"),
+        (vec!["panorama", text(&maps), "--lat-long", "-o", text(&world)], "is a file"),
+    ] {
+        let output = platelight(&arguments);
+        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(2), "{said}");
+        assert!(said.contains(told), "{said}");
+    }
+}

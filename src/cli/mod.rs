@@ -10,6 +10,7 @@ mod calibrate;
 mod chart;
 mod check;
 mod error;
+mod folder;
 mod interrupt;
 mod locate;
 mod merge;

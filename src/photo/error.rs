@@ -6,9 +6,9 @@ use std::path::{Path, PathBuf};
 /// Why a picture could not be read or written. Every message names the file and a remedy.
 #[derive(Debug, thiserror::Error)]
 pub enum PhotoError {
-    #[error("{}: cannot be read: {source}", path.display())]
+    #[error("{}: cannot be read: {source}; check its name, and that it may be read", path.display())]
     Read { path: PathBuf, source: io::Error },
-    #[error("{}: cannot be written: {source}", path.display())]
+    #[error("{}: cannot be written: {source}; name another place, or make room there", path.display())]
     Write { path: PathBuf, source: io::Error },
     #[error("{}: {found}; Platelight reads EXR, Radiance HDR, PNG, TIFF and JPEG{hint}", path.display())]
     NotAPicture { path: PathBuf, found: String, hint: &'static str },

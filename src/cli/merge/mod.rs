@@ -33,6 +33,9 @@ pub struct Args {
     /// Photographs of each bracket in a folder [default: told by their exposures]
     #[arg(long, value_name = "N")]
     group: Option<usize>,
+    /// Of a folder, leave brackets alone whose EXR is there and newer than they are
+    #[arg(long)]
+    skip_existing: bool,
     /// Shutter times in seconds, one for each photograph in its order (0.1 or 1/10)
     #[arg(long, value_delimiter = ',', value_name = "TIMES", conflicts_with = "times_file")]
     times: Option<Vec<String>>,
@@ -104,6 +107,9 @@ pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
         return Err(CliError::wrong(
             "--group divides the photographs of a folder; name one folder, or leave --group out",
         ));
+    }
+    if args.skip_existing {
+        return Err(CliError::wrong("--skip-existing is for a folder; name one, or leave it out"));
     }
     let summary = one(&args.photos, &args.out, args, global)?;
     global.print(&summary, || text(&summary));

@@ -25,7 +25,7 @@ use crate::probe::{Ball, ProbeError, file};
 /// photographs' linear value divided by their exposure; layers hold variance, validity and coverage.
 /// Two balls seen from 90 to 120 degrees apart show what each alone hides: make a panorama of each, and
 /// --merge them; they are turned into the first one's axes by what they show.
-#[derive(Debug, clap::Args)]
+#[derive(Clone, Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
   platelight panorama ball_b*.jpg --ball --camera camera.json -o pano.exr \\
@@ -43,16 +43,26 @@ Examples:
   platelight panorama pano.exr --lat-long --to cube-faces:opengl -o sky.exr
   platelight panorama px.hdr nx.hdr py.hdr ny.hdr pz.hdr nz.hdr \\
       --cube-faces=opengl -o pano.exr --axes axes.png
-  platelight panorama ball_left.exr ball_right.exr --merge -o both.exr")]
+  platelight panorama ball_left.exr ball_right.exr --merge -o both.exr
+  platelight panorama day_1/balls --ball --camera camera.json -o panoramas \\
+      --preview panoramas --overlay rims --skip-existing")]
 pub struct Args {
-    /// The photographs of one bracket, one picture, or the several of --merge, --stitch and --cube-faces
+    /// The photographs of one bracket, one picture, the several of --merge, --stitch and --cube-faces, or a
+    /// folder: each bracket or map in it becomes a panorama
     #[arg(required = true, value_name = "PHOTO")]
     pub(super) photos: Vec<PathBuf>,
-    /// The EXR to write, or Radiance HDR if the name ends in .hdr: light alone, without layers
+    /// The EXR to write, or Radiance HDR if the name ends in .hdr: light alone, without layers; of a folder the
+    /// folder to write to, as with --preview, --overlay, --axes, --irradiance and --sibl
     #[arg(long, short, value_name = "FILE")]
     pub(super) out: PathBuf,
     #[command(flatten)]
     pub(super) kind: Kind,
+    /// Photographs of each bracket in a folder [default: told by their exposures]
+    #[arg(long, value_name = "N")]
+    pub(super) group: Option<usize>,
+    /// Of a folder, leave alone what has a panorama already that is newer
+    #[arg(long)]
+    pub(super) skip_existing: bool,
     #[command(flatten)]
     pub(super) further: Further,
     #[command(flatten)]
@@ -80,13 +90,13 @@ pub struct Args {
     #[arg(long, value_name = "R,G,B", value_delimiter = ',', requires = "ball")]
     pub(super) reflectance: Option<Vec<f32>>,
     /// The ball's radius in metres; says how far away it stands, no direction depends on it
-    #[arg(long, value_name = "M", default_value_t = 0.05, requires = "ball")]
+    #[arg(long, value_name = "M", default_value_t = RADIUS_M, requires = "ball")]
     pub(super) radius: f64,
     /// The same view without the ball: helps to find it
     #[arg(long, value_name = "FILE", requires = "ball")]
     pub(super) clean_plate: Option<PathBuf>,
     /// Angle across the fisheye's image circle, degrees
-    #[arg(long, value_name = "DEG", default_value_t = 180.0, requires = "fisheye")]
+    #[arg(long, value_name = "DEG", default_value_t = FOV_DEG, requires = "fisheye")]
     pub(super) fov: f64,
     /// The fisheye's image circle in pixels [default: inscribed in the picture]
     #[arg(long, value_name = "U,V,R", value_delimiter = ',', requires = "fisheye")]
@@ -126,7 +136,7 @@ pub struct Args {
 }
 
 /// What is written beside the panorama, and how.
-#[derive(Debug, clap::Args)]
+#[derive(Clone, Debug, clap::Args)]
 pub(super) struct Further {
     /// How the panorama is laid out: latlong[:AXES] (openexr = usd = mitsuba, blender = cycles = threejs,
     /// debevec = hdrshop, pbrt-v3), angular, ball (= sphere), cube-cross, cube-vertical,
@@ -156,7 +166,7 @@ pub(super) struct Further {
 }
 
 /// What the photographs show.
-#[derive(Debug, clap::Args)]
+#[derive(Clone, Debug, clap::Args)]
 #[group(required = true, multiple = false)]
 pub(super) struct Kind {
     /// A mirror ball
@@ -277,6 +287,39 @@ impl Target {
     }
 }
 
+/// The ball's radius and the fisheye's angle where they are not given.
+const RADIUS_M: f64 = 0.05;
+const FOV_DEG: f64 = 180.0;
+
+impl Args {
+    /// An option that is given and only means something of a folder.
+    pub(super) fn of_folder(&self) -> Option<&'static str> {
+        let given = [(self.group.is_some(), "--group"), (self.skip_existing, "--skip-existing")];
+        given.into_iter().find(|(given, _)| *given).map(|(_, option)| option)
+    }
+
+    /// An option that is given without the kind of probe that it is for, and that kind. (clap does not say
+    /// so: `requires` yields where the kind that is given excludes the required one.)
+    fn idle(&self) -> Option<(&'static str, &'static str)> {
+        let of_ball = [
+            (self.hint.is_some(), "--hint"),
+            (self.focal_px.is_some(), "--focal-px"),
+            (self.reflectance.is_some(), "--reflectance"),
+            (self.radius != RADIUS_M, "--radius"),
+            (self.clean_plate.is_some(), "--clean-plate"),
+            (self.overlay.is_some(), "--overlay"),
+        ];
+        let of_fisheye = [(self.fov != FOV_DEG, "--fov"), (self.circle.is_some(), "--circle")];
+        let given = |options: &[(bool, &'static str)]| {
+            options.iter().find(|(given, _)| *given).map(|(_, option)| *option)
+        };
+        let ball = given(&of_ball).filter(|_| !self.kind.ball).map(|o| (o, "--ball"));
+        let fisheye = given(&of_fisheye).filter(|_| self.kind.fisheye.is_none());
+        let merging = self.merging.idle().filter(|_| !self.kind.merge);
+        ball.or(fisheye.map(|o| (o, "--fisheye"))).or(merging.map(|o| (o, "--merge")))
+    }
+}
+
 impl<'a> Wishes<'a> {
     pub(super) fn judge(args: &'a Args) -> Result<Self, CliError> {
         if let Some(width) = args.width {
@@ -296,14 +339,14 @@ impl<'a> Wishes<'a> {
             Ball::new(DVec3::ZERO, args.radius, reflectance.unwrap_or(Rgb::ONE))?;
         }
         let kind = &args.kind;
+        if let Some((option, of)) = args.idle() {
+            return Err(CliError::wrong(format!("{option} is for {of}, which is not given")));
+        }
         if args.camera.is_some() && !(kind.ball || kind.lens) {
             return Err(CliError::wrong("--camera: is for --ball and --lens; leave it out"));
         }
         if args.vignetting.is_some() && !(kind.fisheye.is_some() || kind.lens) {
             return Err(CliError::wrong("--vignetting: is for --fisheye and --lens; leave it out"));
-        }
-        if let Some(option) = args.merging.idle().filter(|_| !kind.merge) {
-            return Err(CliError::wrong(format!("{option} is for --merge, which is not given")));
         }
         if args.further.quality && kind.stitch {
             return Err(CliError::wrong(

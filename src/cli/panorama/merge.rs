@@ -17,7 +17,7 @@ use crate::probe::register::{
 use crate::probe::{Panorama, View};
 
 /// How panoramas are merged.
-#[derive(Debug, clap::Args)]
+#[derive(Clone, Debug, clap::Args)]
 pub(in crate::cli) struct MergeArgs {
     /// How --merge turns the other panoramas into the first one's axes
     #[arg(long, value_enum, default_value = "content", value_name = "HOW", requires = "merge")]
@@ -89,8 +89,7 @@ struct ViewSummary {
 }
 
 impl MergeArgs {
-    /// An option that is given although nothing is merged. (clap does not say so: `requires` yields where
-    /// another kind of probe excludes --merge.)
+    /// An option that is given, if any.
     pub(super) fn idle(&self) -> Option<&'static str> {
         let given = [
             (self.register != How::Content, "--register"),

@@ -6,6 +6,7 @@
 mod args;
 mod by_ball;
 mod fill_sky;
+mod folder;
 mod merge;
 mod photographed;
 mod stitch;
@@ -19,7 +20,7 @@ use self::args::{Source, Wishes};
 use self::fill_sky::fill_sky;
 use self::photographed::{mapped, photographed};
 use self::stitch::stitch;
-use self::summary::{summary, text};
+use self::summary::{Summary, summary, text};
 use self::written::{ending, write};
 use super::outputs::{check_ending, check_outputs, write_png};
 use super::{CliError, Global, Outcome};
@@ -30,6 +31,23 @@ use crate::probe::file;
 use crate::probe::layout::Layout;
 
 pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
+    if let [from] = args.photos.as_slice()
+        && from.is_dir()
+    {
+        return folder::run(from, args, global);
+    }
+    if let Some(option) = args.of_folder() {
+        return Err(CliError::wrong(format!(
+            "{option} is for a folder; name one, or leave it out"
+        )));
+    }
+    let summary = convert(args, global)?;
+    global.print(&summary, || text(&summary));
+    Ok(Outcome::Done)
+}
+
+/// Makes one panorama and writes it, with all that is asked for beside it.
+fn convert(args: &Args, global: &Global) -> Result<Summary, CliError> {
     let wishes = Wishes::judge(args)?;
     check_files(&wishes)?;
     let mut warnings = Vec::new();
@@ -71,8 +89,7 @@ pub fn run(args: &Args, global: &Global) -> Result<Outcome, CliError> {
     for warning in &summary.warnings {
         global.warn(warning);
     }
-    global.print(&summary, || text(&summary));
-    Ok(Outcome::Done)
+    Ok(summary)
 }
 
 /// Whether everything that is asked for can be written.
@@ -104,9 +121,6 @@ fn check_files(wishes: &Wishes) -> Result<(), CliError> {
     }
     if let Some(exr) = &further.irradiance {
         check_ending(exr, "exr")?;
-    }
-    if args.overlay.is_some() && !args.kind.ball {
-        return Err(CliError::wrong("--overlay draws a ball's rim; only --ball has one"));
     }
     Ok(())
 }
