@@ -11,6 +11,7 @@
 pub mod axes;
 pub mod ball;
 pub mod ball_frames;
+mod block;
 pub mod circles;
 pub mod clipped;
 pub mod combine;

@@ -12,15 +12,13 @@
 use glam::{DMat3, DVec2};
 use rayon::prelude::*;
 
+use super::block::{BLOCK, SMOOTH_PX, Surface};
 use super::mapping::{LatLong, Mapping};
 use super::panorama::Panorama;
-use super::scatter::scatter_lamps;
+use super::scatter::{lamp_level, scatter_lamps};
 use crate::bracket::{Radiance, Validity};
 use crate::conventions::{Rgb, luminance};
 use crate::photo::Image;
-
-/// Brighter than this many medians is a lamp: its flux is scattered forward.
-const LAMP_MEDIANS: f32 = 50.0;
 
 /// Largest number of samples along a texel's side.
 const MAX_SIDE: usize = 8;
@@ -105,7 +103,7 @@ pub(super) struct Gatherer<'a, M: Mapping + ?Sized, D: Mapping> {
     pub(super) width: usize,
     pub(super) height: usize,
     pub(super) usable: Image<bool>,
-    /// Luminance above which a pixel is a lamp; infinite in a black picture.
+    /// [`lamp_level`].
     pub(super) lamp_level: f32,
 }
 
@@ -131,15 +129,15 @@ impl<'a, M: Mapping + ?Sized, D: Mapping> Gatherer<'a, M, D> {
             .map(|y| (0..w).map(|x| mapping.covers(x, y)).collect())
             .collect();
         let usable = Image::from_fn(w, h, |x, y| rows[y][x]);
-        let lamp_level = LAMP_MEDIANS * median_luminance(source, &usable);
-        let lamp_level = if lamp_level > 0.0 { lamp_level } else { f32::INFINITY };
+        let lamp_level = lamp_level(source, &usable);
         Self { source, mapping, target, turn, width, height, usable, lamp_level }
     }
 
     /// All texels, lamps cut off at the lamp level.
     fn gather(&self) -> Resampled {
         let (w, h) = (self.width, self.height);
-        let rows: Vec<Vec<Texel>> = (0..h).into_par_iter().map(|y| self.row(y)).collect();
+        let bands = (0..h.div_ceil(BLOCK)).into_par_iter();
+        let rows: Vec<Vec<Texel>> = bands.flat_map_iter(|k| self.band(k)).collect();
         let of = |x: usize, y: usize| &rows[y][x];
         Resampled {
             light: Radiance {
@@ -151,19 +149,84 @@ impl<'a, M: Mapping + ?Sized, D: Mapping> Gatherer<'a, M, D> {
         }
     }
 
-    fn row(&self, y: usize) -> Vec<Texel> {
+    /// The rows of band `k`, [`BLOCK`] of them or what is left.
+    fn band(&self, k: usize) -> Vec<Vec<Texel>> {
         let mut taps = Taps::default();
+        let rows = k * BLOCK..((k + 1) * BLOCK).min(self.height);
         if !self.target.wraps() {
-            return (0..self.width).map(|x| self.texel(x, y, self.cell(x, y), &mut taps)).collect();
+            let texel = |x, y, taps: &mut Taps| self.texel(x, y, self.cell(x, y), taps);
+            return rows
+                .map(|y| (0..self.width).map(|x| texel(x, y, &mut taps)).collect())
+                .collect();
         }
         // Without edges in the picture neighbours share their corners.
-        let (above, below) = (self.corners(y), self.corners(y + 1));
-        (0..self.width)
-            .map(|x| {
-                let cell = [above[x], above[x + 1], below[x], below[x + 1]];
-                self.texel(x, y, cell, &mut taps)
-            })
-            .collect()
+        let corners = self.corners(k * BLOCK);
+        rows.map(|y| {
+            let at = |x: usize, y: usize| corners[(y - k * BLOCK) * (self.width + 1) + x];
+            let cell = |x: usize| [at(x, y), at(x + 1, y), at(x, y + 1), at(x + 1, y + 1)];
+            (0..self.width).map(|x| self.texel(x, y, cell(x), &mut taps)).collect()
+        })
+        .collect()
+    }
+
+    /// Source pixels of the texel corners of [`BLOCK`] rows from `top` on, row by row, one corner more than
+    /// there are texels both ways.
+    fn corners(&self, top: usize) -> Vec<Option<DVec2>> {
+        let mut corners = vec![None; (self.width + 1) * (BLOCK + 1)];
+        // The nodes of a block's right side are those of the next one's left.
+        let mut left = self.nodes(0, top);
+        for block in 0..self.width.div_ceil(BLOCK) {
+            let x0 = block * BLOCK;
+            let (middle, right) = (self.nodes(x0 + BLOCK / 2, top), self.nodes(x0 + BLOCK, top));
+            let surface = self.surface([left, middle, right], x0, top);
+            for j in 0..=BLOCK {
+                for i in 0..=BLOCK.min(self.width - x0) {
+                    corners[j * (self.width + 1) + x0 + i] = match &surface {
+                        Some(surface) => Some(surface.at(i, j)),
+                        None => self.corner(x0 + i, top + j),
+                    };
+                }
+            }
+            left = right;
+        }
+        corners
+    }
+
+    /// Source pixel of the upper left corner of texel (`x`, `y`).
+    fn corner(&self, x: usize, y: usize) -> Option<DVec2> {
+        self.locate(x as f64 - 0.5, y as f64 - 0.5)
+    }
+
+    /// Three corners of column `x`: where a block begins, its middle and its end.
+    fn nodes(&self, x: usize, top: usize) -> [Option<DVec2>; 3] {
+        [0, BLOCK / 2, BLOCK].map(|j| self.corner(x, top + j))
+    }
+
+    /// The map over a block, if it is as smooth there as is needed.
+    fn surface(&self, nodes: [[Option<DVec2>; 3]; 3], x0: usize, y0: usize) -> Option<Surface> {
+        let first = nodes[0][0]?;
+        let wrapped = |p: DVec2| {
+            let w = self.source.mean.width() as f64;
+            let turns = if self.mapping.wraps() { ((p.x - first.x) / w).round() } else { 0.0 };
+            DVec2::new(p.x - turns * w, p.y)
+        };
+        let mut exact = [[DVec2::ZERO; 3]; 3];
+        for (to, from) in exact.iter_mut().flatten().zip(nodes.into_iter().flatten()) {
+            *to = wrapped(from?);
+            if self.mapping.piece(*to) != self.mapping.piece(first) {
+                return None;
+            }
+        }
+        let surface = Surface { nodes: exact };
+        let (near, far) = (BLOCK / 4, BLOCK - BLOCK / 4);
+        let fits = |(i, j): (usize, usize)| {
+            let exact = self.corner(x0 + i, y0 + j).map(wrapped);
+            exact.is_some_and(|exact| exact.distance(surface.at(i, j)) < SMOOTH_PX)
+        };
+        [(near, near), (far, near), (near, far), (far, far)]
+            .into_iter()
+            .all(fits)
+            .then_some(surface)
     }
 
     /// The single texel (`x`, `y`).
@@ -177,11 +240,6 @@ impl<'a, M: Mapping + ?Sized, D: Mapping> Gatherer<'a, M, D> {
         let (near, far) = (inset - 0.5, 0.5 - inset);
         [(near, near), (far, near), (near, far), (far, far)]
             .map(|(dx, dy)| self.locate(x as f64 + dx, y as f64 + dy))
-    }
-
-    /// Source pixels of the texel corners along the upper edge of row `y`.
-    fn corners(&self, y: usize) -> Vec<Option<DVec2>> {
-        (0..=self.width).map(|x| self.locate(x as f64 - 0.5, y as f64 - 0.5)).collect()
     }
 
     /// Source pixel of a point of the target.
@@ -359,29 +417,12 @@ pub fn worst(a: Validity, b: Validity) -> Validity {
     }
 }
 
-/// Median luminance of the usable pixels.
-fn median_luminance(source: &Radiance, usable: &Image<bool>) -> f32 {
-    let mut values: Vec<f32> = source
-        .mean
-        .pixels()
-        .iter()
-        .zip(usable.pixels())
-        .filter(|(_, usable)| **usable)
-        .map(|(l, _)| luminance(*l))
-        .collect();
-    if values.is_empty() {
-        return 0.0;
-    }
-    let middle = values.len() / 2;
-    *values.select_nth_unstable_by(middle, f32::total_cmp).1
-}
-
 #[cfg(test)]
 mod tests {
     use super::super::projection_tests::sun;
     use super::*;
     use crate::conventions::{lat_long_direction, lat_long_solid_angle};
-    use crate::probe::mapping::Angular;
+    use crate::probe::mapping::{Angular, BallMap};
     use glam::{DQuat, DVec3};
 
     fn exact(mean: Image<Rgb>) -> Radiance {
@@ -390,6 +431,41 @@ mod tests {
             mean,
             variance: Image::filled(w, h, Rgb::ONE),
             validity: Image::filled(w, h, Validity::Measured),
+        }
+    }
+
+    /// Corners that a parabola gives are those of the map itself, over poles, seams and rims too.
+    #[test]
+    fn blocks_of_corners_are_where_the_map_has_them() {
+        let source = exact(Image::filled(300, 300, Rgb::ONE));
+        let lat_long = LatLong { width: 300, height: 150 };
+        let mappings: [&dyn Mapping; 3] =
+            [&lat_long, &Angular { size: 300 }, &BallMap { size: 300 }];
+        for mapping in mappings {
+            for (k, width) in [(0, 60), (1, 256), (2, 1000), (3, 1000)] {
+                let target = LatLong { width, height: width / 2 };
+                let turn = DMat3::from_quat(rotation(k));
+                let gatherer = Gatherer::new(&source, mapping, target, (width, width / 2), turn);
+                for top in (0..width / 2).step_by(BLOCK) {
+                    let corners = gatherer.corners(top);
+                    for j in 0..=BLOCK.min(width / 2 - top) {
+                        for x in 0..=width {
+                            let found = corners[j * (width + 1) + x];
+                            let there = gatherer.corner(x, top + j);
+                            let off = match (found, there) {
+                                (Some(found), Some(there)) => {
+                                    let off = found - there;
+                                    let round = if mapping.wraps() { 300.0 } else { f64::INFINITY };
+                                    off.x.abs().min((off.x.abs() - round).abs()).hypot(off.y)
+                                }
+                                (None, None) => 0.0,
+                                _ => f64::INFINITY,
+                            };
+                            assert!(off < 2.0 * SMOOTH_PX, "({x}, {}): {off} px", top + j);
+                        }
+                    }
+                }
+            }
         }
     }
 

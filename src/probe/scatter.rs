@@ -9,11 +9,27 @@ use rayon::prelude::*;
 
 use super::mapping::Mapping;
 use super::resample::Gatherer;
+use crate::bracket::Radiance;
 use crate::conventions::{Rgb, luminance};
 use crate::photo::Image;
 
+/// Brighter than this many medians is a lamp.
+const LAMP_MEDIANS: f32 = 50.0;
+
 /// Samples along a side of a texel on the target's rim, whose solid angle is that of its part inside.
 const RIM_SIDE: usize = 8;
+
+/// Luminance above which a pixel is a lamp, whose flux is scattered forward; infinite in a black picture.
+pub(super) fn lamp_level(source: &Radiance, usable: &Image<bool>) -> f32 {
+    let usable = source.mean.pixels().iter().zip(usable.pixels()).filter(|(_, usable)| **usable);
+    let mut values: Vec<f32> = usable.map(|(l, _)| luminance(*l)).collect();
+    if values.is_empty() {
+        return f32::INFINITY;
+    }
+    let middle = values.len() / 2;
+    let level = LAMP_MEDIANS * *values.select_nth_unstable_by(middle, f32::total_cmp).1;
+    if level > 0.0 { level } else { f32::INFINITY }
+}
 
 /// Adds what lamps shine above the lamp level to `radiance`, each pixel's flux exactly.
 pub(super) fn scatter_lamps<M: Mapping + ?Sized, D: Mapping>(
