@@ -62,8 +62,8 @@ impl Response {
 /// λ² grows with their number, or the curve would follow their noise.
 const SMOOTHNESS: f64 = 50.0;
 /// Sample pixels of each channel, at most. methods-capture C3 asks for a thousand, evenly from the codes of
-/// the middle frame: over Debevec's church that puts the radiance .041 / .051 / .048 stops off where as many
-/// as there are, from anywhere flat, put it .027 / .038 / .041.
+/// the middle frame: ten thousand so chosen put Debevec's church .036 / .059 / .050 stops off his own map, as
+/// many from anywhere flat .027 / .041 / .042.
 const SAMPLES: usize = 10_000;
 /// Fewer say too little about 256 codes.
 const FEWEST_SAMPLES: usize = 250;

@@ -64,21 +64,32 @@ pub(super) fn listed(photographs: Vec<PathBuf>) -> Result<Vec<Listed>, CliError>
     listed.collect()
 }
 
+/// Whether a folder for results can be made, or is there and takes files.
+pub(super) fn check(folder: &Path) -> Result<(), CliError> {
+    let name = folder.display();
+    if folder.is_file() {
+        return Err(CliError::wrong(format!(
+            "{name}: is a file; of a folder many are made, so name a folder to write to"
+        )));
+    }
+    atomic::check_folder(folder).map_err(|cause| {
+        CliError::wrong(format!("{name}: nothing can be written there: {cause}; name another"))
+    })
+}
+
+/// Makes a folder for results.
+pub(super) fn make(folder: &Path) -> Result<(), CliError> {
+    std::fs::create_dir_all(folder).map_err(|cause| {
+        CliError::wrong(format!("{}: cannot be made: {cause}; name another", folder.display()))
+    })
+}
+
 /// A file in the folder `out` for each group of photographs, named after its first one.
 ///
 /// # Errors
 /// `out` cannot hold them, or two groups would be one file.
 pub(super) fn tasks(groups: Vec<Vec<PathBuf>>, out: &Path) -> Result<Vec<Task>, CliError> {
-    if out.is_file() {
-        let found = out.display();
-        return Err(CliError::wrong(format!(
-            "{found}: is a file; of a folder many are made, so name a folder to write to"
-        )));
-    }
-    atomic::check_folder(out).map_err(|cause| {
-        let found = out.display();
-        CliError::wrong(format!("{found}: nothing can be written there: {cause}; name another"))
-    })?;
+    check(out)?;
     let mut taken: HashMap<PathBuf, PathBuf> = HashMap::new();
     let mut tasks = Vec::new();
     for photographs in groups {
@@ -116,9 +127,7 @@ pub(super) fn each<T: Serialize>(
     one: impl Fn(&Task) -> Result<T, CliError>,
     text: impl Fn(&T) -> String,
 ) -> Result<Outcome, CliError> {
-    std::fs::create_dir_all(out).map_err(|cause| {
-        CliError::wrong(format!("{}: cannot be made: {cause}; name another", out.display()))
-    })?;
+    make(out)?;
     let bar = progress_bar(global, "photographs", tasks.len() as u64);
     let mut ended = Vec::new();
     let mut interrupted = false;

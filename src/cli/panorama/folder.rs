@@ -36,17 +36,9 @@ pub(super) fn run(from: &Path, args: &Args, global: &Global) -> Result<Outcome, 
         )));
     }
     let tasks = folder::tasks(groups, &args.out)?;
-    // Everything that can be judged before the first picture is read.
-    for task in &tasks {
-        let args = of_task(task, args);
-        super::check_files(&Wishes::judge(&args)?)?;
-    }
+    beside(args).try_for_each(|folder| folder::check(folder))?;
     tasks.iter().for_each(|task| global.say(&format!("panorama of {task}")));
-    for beside in beside(args) {
-        std::fs::create_dir_all(beside).map_err(|cause| {
-            CliError::wrong(format!("{}: cannot be made: {cause}; name another", beside.display()))
-        })?;
-    }
+    beside(args).try_for_each(|folder| folder::make(folder))?;
     let one = |task: &Task| convert(&of_task(task, args), global);
     folder::each(tasks, &args.out, args.skip_existing, global, one, text)
 }
