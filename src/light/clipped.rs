@@ -191,6 +191,16 @@ impl Stage<'_> {
             && !self.local.occluded(&self.ray_from(point, normal, direction))
     }
 
+    /// How far from `point` the thing stands that hides `direction` from it, metres.
+    pub(super) fn distance_to_shade(
+        &self,
+        point: DVec3,
+        normal: DVec3,
+        direction: DVec3,
+    ) -> Option<f64> {
+        Some(f64::from(self.local.closest(&self.ray_from(point, normal, direction))?.t))
+    }
+
     /// Geometric normal of the triangle that was hit; `None` if it has no area.
     pub(super) fn normal(&self, hit: &Hit) -> Option<DVec3> {
         let mesh = &self.scene.local[hit.mesh as usize].mesh;
@@ -303,81 +313,9 @@ fn robust_mean(estimates: &[DVec3]) -> Option<RobustMean> {
 
 #[cfg(test)]
 mod tests {
-    use glam::{DAffine3, DMat3, DQuat, DVec2, Vec3};
-
+    use super::super::test_yard::{CARD, SUN, camera, photograph, sky, yard};
     use super::*;
-    use crate::bracket::Validity;
-    use crate::camera::{Lens, Pose};
-    use crate::scene::{AlbedoSource, LocalMesh, LocalRole, Mesh};
-
-    const SKY: Rgb = Rgb::new(0.02, 0.03, 0.05);
-    const SUN: DVec3 = DVec3::new(1.6, 1.4, 1.0);
-
-    fn quad(corners: [Vec3; 4]) -> Mesh {
-        Mesh {
-            positions: corners.to_vec(),
-            triangles: vec![[0, 1, 2], [0, 2, 3]],
-            ..Mesh::default()
-        }
-    }
-
-    /// Ground of 8 × 8 m and a card of 0.7 × 0.7 m floating 3 m above: it hides 1.5 % of the sky at most.
-    fn yard() -> Scene {
-        let square = |half: f32, at: Vec3| {
-            quad(
-                [(-1.0, -1.0), (-1.0, 1.0), (1.0, 1.0), (1.0, -1.0)]
-                    .map(|(x, z)| at + Vec3::new(x, 0.0, z) * half),
-            )
-        };
-        let local = |mesh, role| LocalMesh { mesh, role, albedo: AlbedoSource::Plate };
-        Scene {
-            local: vec![
-                local(square(4.0, Vec3::ZERO), LocalRole::Support),
-                local(square(0.35, Vec3::new(0.0, 3.0, 0.0)), LocalRole::Prop),
-            ],
-            ..Scene::default()
-        }
-    }
-
-    fn sky() -> Panorama {
-        Panorama {
-            radiance: Image::filled(64, 32, SKY),
-            variance: Image::filled(64, 32, Rgb::ZERO),
-            validity: Image::filled(64, 32, Validity::Measured),
-            coverage: Image::filled(64, 32, 1.0),
-            world_from_panorama: DQuat::IDENTITY,
-            place: DVec3::new(0.0, 0.1, 0.0),
-        }
-    }
-
-    /// Looks straight down from 2.5 m at 300 × 300 px.
-    fn camera() -> Camera {
-        let down = DMat3::from_cols(DVec3::X, -DVec3::Z, DVec3::Y);
-        Camera {
-            width: 300,
-            height: 300,
-            lens: Lens::pinhole(300.0, 300, 300),
-            pose: Pose {
-                world_from_camera: DAffine3::from_mat3_translation(down, DVec3::new(0.4, 2.5, 0.0)),
-                covariance: None,
-            },
-        }
-    }
-
-    /// What the camera sees: a textured ground, lit but where the card's shadow falls. The card's
-    /// share of the sky is left out, the shadow comes from plane geometry.
-    fn photograph(camera: &Camera, sun: DVec3, albedo: f64) -> Image<Rgb> {
-        Image::from_fn(camera.width, camera.height, |x, y| {
-            let (origin, direction) = camera.ray(DVec2::new(x as f64, y as f64)).unwrap();
-            let ground = origin - direction * (origin.y / direction.y);
-            let above = ground + sun * (3.0 / sun.y);
-            let shadowed = above.x.abs() < 0.35 && above.z.abs() < 0.35;
-            let texture = 1.0 + 0.2 * (17.0 * ground.x).sin() * (23.0 * ground.z).cos();
-            let known = SKY.as_dvec3() * PI;
-            let irradiance = if shadowed { known } else { known + SUN * sun.y };
-            (irradiance * albedo * texture / PI).as_vec3()
-        })
-    }
+    use crate::scene::Mesh;
 
     fn recover_in_yard(
         support_albedo: Option<(Rgb, f64)>,
@@ -411,8 +349,8 @@ mod tests {
     #[test]
     fn a_real_shadow_tells_the_sun_without_an_albedo() {
         let sun = sun_direction();
-        let plate = photograph(&camera(), sun, 0.3);
-        let found = recover_in_yard(None, &plate, &yard(), sun).unwrap();
+        let plate = photograph(&camera(), sun, 0.3, CARD);
+        let found = recover_in_yard(None, &plate, &yard(CARD), sun).unwrap();
         assert_eq!(found.evidence[0].method, Method::Shadow);
         // The photograph leaves out the 1.5 % of sky behind the card; tiles leave texture in the ratio.
         assert_recovered(&found, 0.05);
@@ -422,8 +360,8 @@ mod tests {
     #[test]
     fn a_known_albedo_tells_the_sun_without_a_shadow() {
         let sun = sun_direction();
-        let plate = photograph(&camera(), sun, 0.3);
-        let mut scene = yard();
+        let plate = photograph(&camera(), sun, 0.3, CARD);
+        let mut scene = yard(CARD);
         scene.local.truncate(1);
         let albedo = Some((Rgb::splat(0.3), 0.05));
         let found = recover_in_yard(albedo, &plate, &scene, sun).unwrap();
@@ -434,9 +372,9 @@ mod tests {
     #[test]
     fn without_shadow_or_albedo_the_strength_stays_unknown() {
         let sun = sun_direction();
-        let mut scene = yard();
+        let mut scene = yard(CARD);
         scene.local.truncate(1);
-        let plate = photograph(&camera(), sun, 0.3);
+        let plate = photograph(&camera(), sun, 0.3, CARD);
         let found = recover_in_yard(None, &plate, &scene, sun);
         assert!(matches!(found, Err(RecoverError::NoEvidence)));
     }

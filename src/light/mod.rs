@@ -12,6 +12,7 @@ pub mod clipped;
 pub mod discrete;
 pub mod environment;
 pub mod lamp;
+pub mod lamp_strength;
 mod median;
 pub mod moment;
 pub mod near_field;
@@ -19,6 +20,7 @@ pub mod parts;
 mod patch;
 mod preetham;
 pub mod proxy;
+pub mod shadow_edge;
 pub mod sibl;
 pub mod sky;
 pub mod sky_fit;
@@ -29,6 +31,8 @@ pub mod sun_position;
 mod support_grid;
 pub mod table;
 mod take_out;
+#[cfg(test)]
+mod test_yard;
 mod walls;
 
 pub use cells::Cells;

@@ -40,10 +40,14 @@ pub(super) struct SupportGrid {
 
 impl SupportGrid {
     pub fn sample(stage: &Stage, sun: DVec3) -> Self {
-        let width = stage.plate.width().div_ceil(GRID_STEP_PX);
-        let height = stage.plate.height().div_ceil(GRID_STEP_PX);
+        Self::sample_every(stage, sun, GRID_STEP_PX)
+    }
+
+    pub fn sample_every(stage: &Stage, sun: DVec3, step_px: usize) -> Self {
+        let width = stage.plate.width().div_ceil(step_px);
+        let height = stage.plate.height().div_ceil(step_px);
         let samples = Image::from_fn(width, height, |i, j| {
-            let (x, y) = (i * GRID_STEP_PX, j * GRID_STEP_PX);
+            let (x, y) = (i * step_px, j * step_px);
             if stage.clipped[(x, y)] {
                 return None;
             }
@@ -92,6 +96,19 @@ impl SupportGrid {
             }
         }
         lit
+    }
+
+    /// All samples of each tile of `side` samples across, near edges too.
+    pub fn tiles(&self, side: usize) -> impl Iterator<Item = Vec<SupportSample>> + '_ {
+        let tops = (0..self.samples.height()).step_by(side);
+        let corners = tops.flat_map(move |top| {
+            (0..self.samples.width()).step_by(side).map(move |left| (left, top))
+        });
+        corners.map(move |(left, top)| {
+            let rows = top..top + side;
+            let at = rows.flat_map(|j| (left..left + side).map(move |i| (i, j)));
+            at.filter_map(|(i, j)| *self.samples.get(i, j)?).collect()
+        })
     }
 
     /// Lit and shadowed settled samples of each tile that holds enough of both.
