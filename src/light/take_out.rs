@@ -21,6 +21,8 @@ pub struct Spot {
     pub direction: DVec3,
     /// Share of the cone that the probe really saw, 0…1.
     pub seen: f64,
+    /// Whether a part of it clipped in every exposure.
+    pub clipped: bool,
 }
 
 impl Spot {
@@ -58,7 +60,8 @@ impl Spot {
             all += solid_angle;
         }
         let direction = centroid.try_normalize().unwrap_or(direction);
-        Some(Self { texels, surroundings, flux, direction, seen: seen / all })
+        let clipped = texels.iter().any(|&at| panorama.validity[at] == Validity::LowerBound);
+        Some(Self { texels, surroundings, flux, direction, seen: seen / all, clipped })
     }
 
     /// Puts the surroundings in the place of what was seen; its texels become
@@ -90,6 +93,10 @@ pub struct TakenLamp {
     pub radiance: Rgb,
     /// Angle between where it should be seen and where its light came from, radians.
     pub off_rad: f64,
+    /// Whether it clipped in every exposure: then it is at least as strong.
+    pub clipped: bool,
+    /// The middle (unit, world) and the half angle, radians, of the cone that was cleared.
+    pub cleared: (DVec3, f64),
 }
 
 /// Why a lamp stays in the panorama.
@@ -142,7 +149,8 @@ pub fn take_out_lamp(
         return Err(NoLamp::NotHot { excess, surroundings });
     }
     spot.fill(panorama);
-    Ok(TakenLamp { radiance, off_rad: spot.direction.angle_between(direction) })
+    let off_rad = spot.direction.angle_between(direction);
+    Ok(TakenLamp { radiance, off_rad, clipped: spot.clipped, cleared: (shown, half_angle) })
 }
 
 /// Middle of the brightest disc of half angle `own` that begins within `search` of `direction`, radians.

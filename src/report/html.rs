@@ -279,13 +279,14 @@ fn probe(report: &Report) -> Markup {
         }
         @if !p.clipped.is_empty() {
             table {
-                tr { th { "clipped light" } th { "azimuth" } th { "elevation" } th { "solid angle" } th { "treated" } }
+                tr { th { "clipped light" } th { "azimuth" } th { "elevation" } th { "solid angle" } th { "of all light, at least" } th { "treated" } }
                 @for (i, light) in p.clipped.iter().enumerate() {
                     tr {
                         td { (i + 1) }
                         td.n { (format!("{:.1}°", light.azimuth_deg)) }
                         td.n { (format!("{:.1}°", light.elevation_deg)) }
                         td.n { (significant(light.solid_angle_sr)) " sr" }
+                        td.n { (per_cent(light.share_at_least)) }
                         td { (light.treatment.to_string()) }
                     }
                 }

@@ -182,6 +182,10 @@ pub struct ClippedReport {
     pub azimuth_deg: f64,
     pub elevation_deg: f64,
     pub solid_angle_sr: f64,
+    /// Flux ∫ L dω that it has at least, per channel, in the plate's linear scale times sr.
+    pub flux_at_least: [f64; 3],
+    /// The same as a share of all light that the probe saw.
+    pub share_at_least: f64,
     pub treatment: Treatment,
 }
 
@@ -192,20 +196,46 @@ pub enum Treatment {
     #[default]
     Accepted,
     /// Its irradiance (on a plane that faces it, the plate's scale) was found in the plate, with a
-    /// relative standard error, from so many pieces of evidence.
-    Recovered { irradiance: [f64; 3], sigma: f64, evidence: usize },
+    /// relative standard error, from so many pieces of evidence. `moved_deg` is how far shadow edges in the
+    /// plate moved it; without such, its direction is the probe's.
+    Recovered {
+        irradiance: [f64; 3],
+        sigma: f64,
+        evidence: usize,
+        sigma_direction_deg: f64,
+        moved_deg: Option<f64>,
+    },
+    /// It is a `[[lamp]]` that got its strength from the plate, to this relative standard error.
+    Lamp { sigma: f64 },
 }
 
 impl std::fmt::Display for Treatment {
     fn fmt(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
         match self {
             Self::Accepted => f.write_str("accepted as a lower bound"),
-            Self::Recovered { irradiance: [r, g, b], sigma, evidence } => write!(
-                f,
-                "recovered as a sun from the plate, irradiance {r:.3}, {g:.3}, {b:.3} ± {:.0} % \
-                 ({evidence} pieces of evidence)",
-                100.0 * sigma
-            ),
+            Self::Recovered {
+                irradiance: [r, g, b],
+                sigma,
+                evidence,
+                sigma_direction_deg,
+                moved_deg,
+            } => {
+                write!(
+                    f,
+                    "recovered as a sun from the plate, irradiance {r:.3}, {g:.3}, {b:.3} ± {:.0} % \
+                     ({evidence} pieces of evidence), direction ± {sigma_direction_deg:.2}° ",
+                    100.0 * sigma
+                )?;
+                match moved_deg {
+                    Some(moved) => {
+                        write!(f, "by shadow edges in the plate, {moved:.2}° from the probe's")
+                    }
+                    None => f.write_str("by the probe"),
+                }
+            }
+            Self::Lamp { sigma } => {
+                write!(f, "a lamp whose strength is taken from the plate, ± {:.0} %", 100.0 * sigma)
+            }
         }
     }
 }
@@ -237,6 +267,12 @@ pub struct LampReport {
     pub radiance: [f64; 3],
     /// Angle between where it should be seen and where the panorama shows it.
     pub beside_deg: f64,
+    /// Whether it shines from its place; otherwise it is part of the panorama.
+    pub in_place: bool,
+    /// It clipped in every exposure: how many times stronger the plate shows it than the probe, per channel,
+    /// and the relative σ of that.
+    pub strengthened: Option<[f64; 3]>,
+    pub sigma: Option<f64>,
     /// What was done with it, and why.
     pub treated: String,
 }

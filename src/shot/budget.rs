@@ -37,6 +37,15 @@ pub fn budget(prepared: &Prepared, render: &RenderReport) -> Budget {
             note: "from the scatter of the evidence in the plate".to_owned(),
         });
     }
+    if let Some(sigma) = prepared.light.sigma_lamps {
+        terms.push(Term {
+            cause: "strength of the clipped lamps".to_owned(),
+            sigma: Some(100.0 * sigma),
+            unit: "% of the irradiance toward them",
+            brightness: Some(sigma),
+            note: "from parts of the plate left out in turns".to_owned(),
+        });
+    }
     if let Some(sigma) = prepared.light.sigma_sky {
         terms.push(Term {
             cause: "the calculated sun against its sky".to_owned(),
@@ -100,13 +109,21 @@ fn slip(prepared: &Prepared) -> Term {
 }
 
 fn directions(prepared: &Prepared) -> Term {
+    let by_sun = prepared.probe_report.clipped.iter().find_map(|light| match light.treatment {
+        Treatment::Recovered { sigma_direction_deg, .. } => Some(sigma_direction_deg),
+        Treatment::Accepted | Treatment::Lamp { .. } => None,
+    });
+    let (sigma, from) = match by_sun {
+        Some(sigma) => (Some(sigma), "of the recovered sun"),
+        None => (prepared.probe_report.sigma_direction_deg, "from how the probe's axes are known"),
+    };
     Term {
         cause: "directions of the light".to_owned(),
-        sigma: prepared.probe_report.sigma_direction_deg,
+        sigma,
         unit: "°",
         // A plane turned by δ under light from 45° changes by δ: first order.
-        brightness: prepared.probe_report.sigma_direction_deg.map(f64::to_radians),
-        note: "from the ball's rim; shadows turn by this much".to_owned(),
+        brightness: sigma.map(f64::to_radians),
+        note: format!("{from}; shadows turn by this much"),
     }
 }
 

@@ -4,33 +4,33 @@ use std::f64::consts::PI;
 
 use glam::DVec3;
 
+use super::clipped_light;
 use super::exposures::Scale;
+use super::lamp_light;
 use super::near_field::NearField;
 use super::place;
 use super::plan::Plan;
 use super::probe_keys::{
-    Ball as BallKeys, Clipped, Fisheye, FisheyeMapping, PanoramaKeys, ProbeSource, Suns,
+    Ball as BallKeys, Fisheye, FisheyeMapping, PanoramaKeys, ProbeSource, Suns,
 };
+use super::shown::Shown;
 use super::sky::SkyKeys;
 use crate::bracket::Radiance;
 use crate::camera::Camera;
 use crate::conventions::{Rgb, luminance};
-use crate::light::clipped::{self, RecoverError, Stage};
 use crate::light::sky;
-use crate::light::{Disc, LightOptions, Lights, SunSplit, take_out};
+use crate::light::{Disc, LightOptions, Lights, SunSplit};
 use crate::photo::{Image, ReadOptions};
 use crate::probe::file::{self, rotation_xyz_deg};
 use crate::probe::find::{self, BallImage};
 use crate::probe::fisheye::{self, Projection};
 use crate::probe::photographed;
 use crate::probe::unwrap::Support;
-use crate::probe::{Ball, ClippedRegion, Doubt, Panorama, Rim, clipped_regions};
+use crate::probe::{Ball, Doubt, Panorama, Rim};
 use crate::report::{
-    ClippedReport, LightsReport, ProbeReport, SunReport, Treatment, Warning, azimuth_elevation,
-    photographs,
+    LightsReport, ProbeReport, SunReport, Warning, azimuth_elevation, photographs,
 };
 use crate::scene::Scene;
-use crate::trace::Accel;
 
 /// The light of a shot and how well it is known.
 pub struct Light {
@@ -43,6 +43,9 @@ pub struct Light {
     pub sigma_irradiance: Option<f64>,
     /// Relative standard error of a recovered sun.
     pub sigma_sun: Option<f64>,
+    /// Relative standard error of the irradiance toward a clipped lamp from what its strength in the plate is
+    /// known to; the largest.
+    pub sigma_lamps: Option<f64>,
     /// Relative standard error of a sun against its sky that nobody measured.
     pub sigma_sky: Option<f64>,
     /// True if a ball's reflectance was divided out.
@@ -65,11 +68,6 @@ pub struct Unwrapped {
 
 /// Filled directions with less than this share of the light on level ground are no matter for a warning.
 const GUESSED_SHARE: f32 = 0.05;
-
-/// A clipped region with less than this share of the light changes nothing that can be seen.
-const NEGLIGIBLE_SHARE: f64 = 1e-3;
-/// All of them together with less than this are a note.
-const SMALL_SUM: f64 = 1e-2;
 
 /// Unwraps the merged `bracket` of a ball (which needs `ball_camera`) or fisheye, reads a panorama, or
 /// calculates a sky.
@@ -248,8 +246,8 @@ pub struct Setting<'a> {
     pub plan: &'a Plan,
     pub camera: &'a Camera,
     pub scene: &'a Scene,
-    /// Built over the meshes of `scene.local`, in their order.
-    pub local: &'a Accel,
+    /// What the plate shows of the scene's local things.
+    pub shown: &'a Shown,
 }
 
 /// Brings the panorama to the plate's scale, judges clipped lights, and splits off suns.
@@ -274,7 +272,7 @@ pub fn light(
     report.plate_exposure_source = source.clone();
     report.seen_share = seen_share(&panorama);
 
-    let mut suns = judge_clipped(&mut panorama, setting, &mut report, &mut warnings)?;
+    let mut suns = clipped_light::judge(&mut panorama, setting, &mut report, &mut warnings)?;
     // Also of what turns out to be a lamp's
     let sigma_sun = suns.iter().map(|(_, sigma)| *sigma).reduce(f64::max);
     let sigma_sky = matches!(plan.shot.probe.source, ProbeSource::Sky(_)).then_some(sky::SIGMA);
@@ -299,7 +297,13 @@ pub fn light(
         .map_err(|error| format!("{}: probe: {error}", plan.shot.path.display()))?;
     let lights = found.with_discs(suns.into_iter().map(|(disc, _)| disc));
     let place = setting.scene.from_world(panorama.place);
-    let lights = lights.near(place, near.proxy, near.lamps);
+    let mut lights = lights.near(place, near.proxy, near.lamps);
+    let mut lamp_reports = near.lamp_reports;
+    let in_place = lamp_reports.iter_mut().filter(|report| report.in_place).collect();
+    warnings.extend(lamp_light::strengthen(&mut lights, &near.clipped_lamps, setting, in_place));
+    clipped_light::mark_lamps(&mut report.clipped, &near.clipped_lamps, &lamp_reports);
+    warnings.extend(clipped_light::accepted(&report.clipped));
+    let sigma_lamps = lamp_light::sigma(&lights, place, &lamp_reports);
     warnings.extend(repaired_warning(&lights, &panorama));
 
     if lights.is_dark() {
@@ -313,7 +317,7 @@ pub fn light(
         irradiance_up: lights.irradiance(glam::Vec3::Y).as_dvec3().to_array(),
         suns: lights.suns.iter().map(sun_report).collect(),
         surroundings: near.surroundings,
-        lamps: near.lamp_reports,
+        lamps: lamp_reports,
     };
     let has_reflectance = ball.is_some();
     let distant_error = near.distant_error;
@@ -323,6 +327,7 @@ pub fn light(
         ball,
         sigma_irradiance,
         sigma_sun,
+        sigma_lamps,
         sigma_sky,
         has_reflectance,
         distant_error,
@@ -341,149 +346,6 @@ fn repaired_warning(lights: &Lights, panorama: &Panorama) -> Option<Warning> {
             format!("{} of {all} texels", lights.repaired),
         )
     })
-}
-
-/// Errs on, accepts or recovers clipped lights; returns recovered suns with their relative σ.
-fn judge_clipped(
-    panorama: &mut Panorama,
-    setting: &Setting,
-    report: &mut ProbeReport,
-    warnings: &mut Vec<Warning>,
-) -> Result<Vec<(Disc, f64)>, String> {
-    let total = f64::from(luminance(panorama.mean())) * 4.0 * PI;
-    let share =
-        |region: &ClippedRegion| f64::from(luminance(region.lower_bound)) / total.max(1e-30);
-    let regions = clipped_regions(panorama);
-    let (matter, small): (Vec<_>, Vec<_>) =
-        regions.into_iter().partition(|region| share(region) >= NEGLIGIBLE_SHARE);
-    if !small.is_empty() {
-        let sum: f64 = small.iter().map(share).sum();
-        let said = Warning::new(
-            "probe",
-            format!(
-                "{} small lights are clipped in every exposure and taken as they are",
-                small.len()
-            ),
-            format!("at least {:.2} % of the light", 100.0 * sum),
-        );
-        warnings.push(Warning { asks: sum > SMALL_SUM, ..said });
-    }
-    if matter.is_empty() {
-        return Ok(Vec::new());
-    }
-    let shot = setting.plan.shot.path.display();
-    match setting.plan.shot.probe.clipped {
-        Clipped::Error => {
-            let list: Vec<String> = matter.iter().map(ToString::to_string).collect();
-            Err(format!(
-                "{shot}: probe.clipped: {} lights are clipped in every exposure: {}; add a shorter \
-                 exposure, or set probe.clipped = \"recover\" (from the plate's own shadows and lit \
-                 surfaces) or \"accept\"",
-                matter.len(),
-                list.join("; ")
-            ))
-        }
-        Clipped::Accept => {
-            let sum: f64 = matter.iter().map(share).sum();
-            for region in &matter {
-                report.clipped.push(clipped_report(region, Treatment::Accepted));
-            }
-            warnings.push(Warning::new(
-                "probe.clipped",
-                format!("{} clipped lights are accepted as they are: shadows and highlights are too weak", matter.len()),
-                format!("at least {:.1} % of the light, upper bound unknown", 100.0 * sum),
-            ));
-            Ok(Vec::new())
-        }
-        Clipped::Recover => recover(panorama, &matter, setting, report, warnings)
-            .map_err(|error| format!("{shot}: probe.clipped: {error}")),
-    }
-}
-
-/// Recovers the brightest clipped light as a sun; the others are accepted.
-fn recover(
-    panorama: &mut Panorama,
-    regions: &[ClippedRegion],
-    setting: &Setting,
-    report: &mut ProbeReport,
-    warnings: &mut Vec<Warning>,
-) -> Result<Vec<(Disc, f64)>, String> {
-    let Some((sun, others)) = regions.split_first() else { return Ok(Vec::new()) };
-    let half_angle = clipped::half_angle_of(sun.solid_angle, panorama.width()).ok_or_else(|| {
-        format!(
-            "the brightest clipped light ({sun}, {:.1e} sr) is too large to be recovered as a sun: its \
-             shadows are soft; add a shorter exposure to the probe's bracket, or set probe.clipped = \
-             \"accept\" if it may be too weak",
-            sun.solid_angle
-        )
-    })?;
-    let half_width = 0.5 * sun.width_deg().to_radians();
-    // Half as much again: blooming and the resampler spread a clipped disc over its neighbours.
-    take_out(panorama, sun.direction, 1.5 * half_width);
-    let stage = Stage {
-        plate: &setting.plan.plate.linear,
-        clipped: &setting.plan.plate.clipped,
-        camera: setting.camera,
-        panorama,
-        scene: setting.scene,
-        local: setting.local,
-        support_albedo: support_albedo(setting.plan),
-    };
-    let recovered = clipped::recover(&stage, sun.direction, half_angle)
-        .map_err(|error| format!("{error}; {}", remedy(&error)))?;
-    let irradiance = recovered.irradiance_normal;
-    let treatment = Treatment::Recovered {
-        irradiance: irradiance.to_array(),
-        sigma: recovered.sigma,
-        evidence: recovered.evidence.len(),
-    };
-    report.clipped.push(clipped_report(sun, treatment));
-    for other in others {
-        report.clipped.push(clipped_report(other, Treatment::Accepted));
-    }
-    if !others.is_empty() {
-        warnings.push(Warning::new(
-            "probe.clipped",
-            format!("{} clipped lights beside the sun are accepted as they are", others.len()),
-            "a lower bound; see the probe's list of clipped lights",
-        ));
-    }
-    let disc = Disc::from_irradiance(
-        recovered.direction.as_vec3(),
-        recovered.half_angle_rad as f32,
-        irradiance.as_vec3(),
-    );
-    Ok(vec![(disc, recovered.sigma)])
-}
-
-/// What to do in the shot file when a sun cannot be recovered.
-fn remedy(error: &RecoverError) -> &'static str {
-    match error {
-        RecoverError::NoEvidence => {
-            "give support.albedo as [r, g, b], model the thing that casts a visible shadow as \
-             [[local]], add a shorter exposure to the probe's bracket, or set probe.clipped = \"accept\""
-        }
-        RecoverError::NotASun(..) => "set probe.clipped = \"accept\"",
-    }
-}
-
-/// An albedo somebody gave, taken as good to 10 %.
-fn support_albedo(plan: &Plan) -> Option<(Rgb, f64)> {
-    match plan.shot.support.albedo {
-        super::file::Albedo::Constant(rgb) => Some((DVec3::from(rgb).as_vec3(), 0.1)),
-        super::file::Albedo::Plate | super::file::Albedo::Mesh => None,
-    }
-}
-
-fn clipped_report(region: &ClippedRegion, treatment: Treatment) -> ClippedReport {
-    let (azimuth_deg, elevation_deg) = azimuth_elevation(region.direction);
-    ClippedReport {
-        direction: region.direction.to_array(),
-        azimuth_deg,
-        elevation_deg,
-        solid_angle_sr: region.solid_angle,
-        treatment,
-    }
 }
 
 fn sun_report(disc: &Disc) -> SunReport {

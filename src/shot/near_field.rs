@@ -6,6 +6,7 @@
 
 use glam::{DVec3, Vec3};
 
+use super::clipped_light::Cleared;
 use super::light::Setting;
 use super::place;
 use super::plan::Plan;
@@ -22,6 +23,8 @@ use crate::trace::{Accel, Ray};
 pub struct NearField {
     pub proxy: Option<Proxy>,
     pub lamps: Vec<Lamp>,
+    /// Of each that clipped in every exposure, and is as weak as the probe saw it, where that was.
+    pub clipped_lamps: Vec<Option<Cleared>>,
     pub warnings: Vec<Warning>,
     /// How `[surroundings]` are treated, and why; empty without.
     pub surroundings: String,
@@ -128,7 +131,7 @@ impl NearField {
             self.warnings.push(far_enough(&key, &facts, error));
             return Ok(());
         }
-        let hidden = hides(setting.local, setting.scene, panorama.place, at, keys.radius);
+        let hidden = hides(&setting.shown.local, setting.scene, panorama.place, at, keys.radius);
         let probe_radius = probe_radius(setting.plan);
         let taken = if hidden {
             Err(NoLamp::Unseen)
@@ -156,9 +159,14 @@ impl NearField {
         if taken.off_rad > (BESIDE * keys.radius + probe_radius) / away {
             self.warnings.push(beside(&key, taken.off_rad, away));
         }
+        let n_suns = suns.len();
         let lamp = with_suns(lamp, setting.scene.from_world(panorama.place), suns);
+        // A sun that was recovered where it stands is its light already.
+        let weak = taken.clipped && suns.len() == n_suns;
+        self.clipped_lamps.push(weak.then_some(taken.cleared));
         report.treated = format!("put in its place: {facts}");
         report.radiance = lamp.radiance.as_dvec3().to_array();
+        report.in_place = true;
         self.lamp_reports.push(report);
         self.lamps.push(lamp);
         Ok(())

@@ -145,7 +145,7 @@ pub fn prepare(
     let camera = plate_camera(plan, &found_lens, &found_pose);
     let scene = scene(plan)?;
     let shown = Shown::new(&scene, &camera);
-    let setting = Setting { plan, camera: &camera, scene: &scene, local: &shown.local };
+    let setting = Setting { plan, camera: &camera, scene: &scene, shown: &shown };
     let (light, probe_report, lights_report) = light::light(unwrapped, &setting).map_err(one)?;
     if context.is_cancelled() {
         return Err(RunError::Interrupted);

@@ -2,7 +2,7 @@
 //!
 //! Made once for a shot; every judgement on local things asks it.
 
-use glam::DVec2;
+use glam::{DVec2, Vec3};
 
 use crate::camera::Camera;
 use crate::scene::{Mesh, Scene};
@@ -16,6 +16,8 @@ const RAYS: usize = 6000;
 pub struct Shown {
     /// Built over the meshes of `scene.local`, in their order.
     pub local: Accel,
+    /// Pixels between neighbours of the grid.
+    pub step: usize,
     /// Pixels of an even grid whose rays meet a local thing.
     pub grid: Vec<Seen>,
 }
@@ -26,6 +28,18 @@ pub struct Seen {
     /// In the scene's frame.
     pub ray: Ray,
     pub hit: Hit,
+}
+
+impl Seen {
+    /// The place that is seen, a little off its surface, and the surface's normal on the camera's side; in the
+    /// scene's frame.
+    pub fn place(&self, scene: &Scene) -> (Vec3, Vec3) {
+        let mesh = &scene.local[self.hit.mesh as usize].mesh;
+        let [a, b, c] = mesh.corners(self.hit.triangle as usize);
+        let normal = (b - a).cross(c - a).normalize_or_zero();
+        let normal = if normal.dot(self.ray.direction) > 0.0 { -normal } else { normal };
+        (self.ray.at(self.hit.t) + normal * 1e-4 * self.hit.t, normal)
+    }
 }
 
 impl Shown {
@@ -43,6 +57,6 @@ impl Shown {
             Some(Seen { pixel, ray, hit })
         });
         let grid = seen.collect();
-        Self { local, grid }
+        Self { local, step, grid }
     }
 }

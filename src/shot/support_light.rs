@@ -54,12 +54,9 @@ impl View<'_> {
 
     /// `None` in a sun's shadow, without light, and where a clipped pixel is too little to compare.
     fn albedo(&self, seen: &Seen, light: &mut Irradiances) -> Option<(AlbedoSource, Rgb)> {
-        let Seen { pixel, ray, hit } = seen;
+        let Seen { pixel, hit, .. } = seen;
         let surface = &self.scene.local[hit.mesh as usize];
-        let [a, b, c] = surface.mesh.corners(hit.triangle as usize);
-        let normal = (b - a).cross(c - a).normalize_or_zero();
-        let normal = if normal.dot(ray.direction) > 0.0 { -normal } else { normal };
-        let point = ray.at(hit.t) + normal * 1e-4 * hit.t;
+        let (point, normal) = seen.place(self.scene);
         let suns = &self.lights.suns;
         let in_shadow =
             suns.iter().any(|sun| self.shown.local.occluded(&Ray::new(point, sun.direction)));
