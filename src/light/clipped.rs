@@ -18,7 +18,7 @@ use glam::DVec3;
 use thiserror::Error;
 
 use super::sun::COMPACT_SR;
-use super::support_grid::{SupportGrid, SupportSample, median_radiance};
+use super::support_grid::{SupportGrid, SupportSample, TILES_OF_A_SAMPLE, median_radiance};
 use crate::camera::Camera;
 use crate::conventions::{Rgb, SUN_HALF_ANGLE_RAD, lat_long_pixel, luminance};
 use crate::photo::Image;
@@ -246,7 +246,7 @@ fn by_shadow(stage: &Stage, grid: &SupportGrid, sun: DVec3) -> Option<Evidence> 
         })
         .filter(|e| e.is_finite())
         .collect();
-    let combined = robust_mean(&estimates)?;
+    let combined = robust_mean(&estimates, estimates.len() as f64 / TILES_OF_A_SAMPLE)?;
     // The known irradiance enters in proportion, the scatter of the tiles tells the rest
     let sigma = combined.sigma.hypot(2.0 * SIGMA_KNOWN_IRRADIANCE);
     Some(Evidence {
@@ -288,9 +288,9 @@ struct RobustMean {
     sigma: f64,
 }
 
-/// Per-channel median with the standard error that the median absolute deviation tells; `None` for fewer
-/// than two estimates or a median that is not positive.
-fn robust_mean(estimates: &[DVec3]) -> Option<RobustMean> {
+/// Per-channel median with the standard error that the median absolute deviation tells, as many of them being
+/// `independent`; `None` for fewer than two estimates or a median that is not positive.
+fn robust_mean(estimates: &[DVec3], independent: f64) -> Option<RobustMean> {
     if estimates.len() < 2 {
         return None;
     }
@@ -307,7 +307,7 @@ fn robust_mean(estimates: &[DVec3]) -> Option<RobustMean> {
         estimates.iter().map(|e| f64::from(luminance((e / mean).as_vec3()))).collect();
     let deviation = median(brightness.iter().map(|b| (b - 1.0).abs()).collect());
     // 1.4826 turns the median deviation into σ of a normal law, 1.2533 is the median's own price
-    let sigma = 1.4826 * 1.2533 * deviation / (estimates.len() as f64).sqrt();
+    let sigma = 1.4826 * 1.2533 * deviation / independent.max(1.0).sqrt();
     Some(RobustMean { mean, sigma })
 }
 

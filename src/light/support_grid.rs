@@ -21,6 +21,8 @@ const AGREEING_NEIGHBOURS: usize = 2;
 /// Grid samples along the side of a tile in which lit and shadowed samples are compared: near
 /// enough to be the same material, large enough to average its texture.
 const TILE_SAMPLES: usize = 20;
+/// Tiles overlap by half: each sample is in so many of them, and so many say no more than one.
+pub(super) const TILES_OF_A_SAMPLE: f64 = 4.0;
 /// Samples of each kind that a tile needs.
 const TILE_QUORUM: usize = 24;
 
@@ -112,10 +114,12 @@ impl SupportGrid {
     }
 
     /// Lit and shadowed settled samples of each tile that holds enough of both.
+    ///
+    /// Tiles overlap by half, so that it matters less where their borders happen to cut a pattern.
     pub fn split_tiles(&self) -> Vec<[Vec<SupportSample>; 2]> {
         let mut tiles = Vec::new();
-        for top in (0..self.samples.height()).step_by(TILE_SAMPLES) {
-            for left in (0..self.samples.width()).step_by(TILE_SAMPLES) {
+        for top in (0..self.samples.height()).step_by(TILE_SAMPLES / 2) {
+            for left in (0..self.samples.width()).step_by(TILE_SAMPLES / 2) {
                 let mut tile = [Vec::new(), Vec::new()];
                 for j in top..top + TILE_SAMPLES {
                     for i in left..left + TILE_SAMPLES {
