@@ -244,6 +244,7 @@ fn probe(report: &Report) -> Markup {
             ("radiance × this = plate", format!("{} ({})", significant(p.plate_exposure), p.plate_exposure_source)),
             ("ball", p.ball_px.map_or(String::new(), |[x, y, r]| format!("centre {x:.1}, {y:.1}, radius {r:.1} px"))),
             ("σ of the ball", px(p.sigma_ball_px)),
+            ("its axes", p.registered.clone()),
             ("σ of directions", p.sigma_direction_deg.map_or(String::new(), |d| format!("{}°", significant(d)))),
             ("seen", format!("{} of the sphere", per_cent(p.seen_share))),
             ("irradiance on level ground", format!("{r:.3}, {g:.3}, {b:.3} (plate scale)")),

@@ -167,8 +167,10 @@ pub struct ProbeReport {
     /// Centre and radius of the ball's picture.
     pub ball_px: Option<[f64; 3]>,
     pub sigma_ball_px: Option<f64>,
-    /// Direction error from the rim's σ.
+    /// Error of all directions together, from the rim's σ and from how the probe was registered.
     pub sigma_direction_deg: Option<f64>,
+    /// How the probe's axes came into the world's.
+    pub registered: String,
     /// Share of the sphere that was seen.
     pub seen_share: f64,
     pub clipped: Vec<ClippedReport>,

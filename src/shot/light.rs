@@ -13,6 +13,7 @@ use super::plan::Plan;
 use super::probe_keys::{
     Ball as BallKeys, Fisheye, FisheyeMapping, PanoramaKeys, ProbeSource, Suns,
 };
+use super::register;
 use super::shown::Shown;
 use super::sky::SkyKeys;
 use crate::bracket::Radiance;
@@ -262,6 +263,16 @@ pub fn light(
     let plan = setting.plan;
     let Scale { factor, source } = &plan.scale;
     let mut panorama = panorama.scaled(*factor as f32);
+    let probe = &plan.shot.probe;
+    report.registered = axes_from(&probe.source).to_owned();
+    if let Some(keys) = &probe.register {
+        let registered = register::register(keys, &probe.source, &mut panorama, setting.camera)
+            .map_err(|error| format!("{}: {error}", plan.shot.path.display()))?;
+        let rim = report.sigma_direction_deg.unwrap_or(0.0);
+        report.sigma_direction_deg = Some(rim.hypot(registered.sigma_deg));
+        report.registered = registered.sentence;
+        warnings.extend(registered.warnings);
+    }
     let sigma_irradiance = sigma_irradiance(&panorama);
     if let Some(photo) = plan.probe_photos.first() {
         report.colour = photo.encoding.to_string();
@@ -334,6 +345,17 @@ pub fn light(
         warnings,
     };
     Ok((light, report, lights_report))
+}
+
+/// What says how a probe's axes lie in the world where nothing registers it.
+fn axes_from(source: &ProbeSource) -> &'static str {
+    match source {
+        ProbeSource::Ball(keys) if keys.pose.is_some() => "by probe.ball.pose",
+        ProbeSource::Ball(_) => "by the plate's pose",
+        ProbeSource::Fisheye(_) => "by probe.fisheye.rotation, as given",
+        ProbeSource::Panorama(_) => "by probe.panorama.rotation, as given",
+        ProbeSource::Sky(_) => "by where the sun stands and probe.sky.north_deg",
+    }
 }
 
 /// Texels that are no light would otherwise become shadows without a word.

@@ -29,6 +29,7 @@ mod placing;
 pub mod plan;
 pub mod prepare;
 pub mod probe_keys;
+pub mod register;
 pub mod run;
 pub mod sheet;
 mod shown;

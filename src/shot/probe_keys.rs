@@ -7,6 +7,7 @@ use serde::Serialize;
 
 use super::camera_keys::{CameraKeys, CameraSource, ExposureKeys, PoseSource};
 use super::keys::Keys;
+use super::register::RegisterKeys;
 use super::sky::SkyKeys;
 use crate::probe::axes::Axes;
 use crate::probe::layout::Layout;
@@ -15,6 +16,8 @@ use crate::probe::layout::Layout;
 #[derive(Clone, Debug, Serialize)]
 pub struct ProbeKeys {
     pub source: ProbeSource,
+    /// How its axes lie in the world; `None`: as its pose or rotation say.
+    pub register: Option<RegisterKeys>,
     pub clipped: Clipped,
     pub suns: Suns,
 }
@@ -128,7 +131,8 @@ pub struct Lamp {
 }
 
 impl ProbeKeys {
-    pub const KEYS: &[&str] = &["ball", "fisheye", "panorama", "sky", "clipped", "suns"];
+    pub const KEYS: &[&str] =
+        &["ball", "fisheye", "panorama", "sky", "register", "clipped", "suns"];
 
     pub fn read(keys: &Keys, folder: &Path) -> Option<Self> {
         let clipped =
@@ -136,6 +140,17 @@ impl ProbeKeys {
         let clipped = keys.choice("clipped", &clipped).unwrap_or(Clipped::Error);
         let suns = [("auto", Suns::Auto), ("never", Suns::Never), ("always", Suns::Always)];
         let suns = keys.choice("suns", &suns).unwrap_or(Suns::Auto);
+        let register = if keys.has("register") {
+            Some(RegisterKeys::read(&keys.table("register", RegisterKeys::KEYS)?)?)
+        } else {
+            None
+        };
+        if register.is_some() && keys.has("sky") {
+            keys.problem(
+                "register",
+                "has no meaning beside sky, whose sun stands in the world; take it out",
+            );
+        }
         let source = match keys.exactly_one(&["ball", "fisheye", "panorama", "sky"])? {
             "ball" => {
                 ProbeSource::Ball(Box::new(Ball::read(&keys.table("ball", Ball::KEYS)?, folder)?))
@@ -150,7 +165,7 @@ impl ProbeKeys {
             }
             _ => ProbeSource::Sky(SkyKeys::read(&keys.table("sky", SkyKeys::KEYS)?)?),
         };
-        Some(Self { source, clipped, suns })
+        Some(Self { source, register, clipped, suns })
     }
 }
 

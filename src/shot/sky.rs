@@ -132,7 +132,7 @@ pub(super) fn check_scale(root: &Keys, plate: &PlateKeys, probe: &ProbeKeys) {
 }
 
 /// Where the sun is, by place and time or by itself.
-fn read_sun(keys: &Keys) -> Option<(Option<Place>, Option<Moment>, SunPosition)> {
+pub(super) fn read_sun(keys: &Keys) -> Option<(Option<Place>, Option<Moment>, SunPosition)> {
     if keys.has("sun") {
         if let Some(other) = ["place", "time"].into_iter().find(|key| keys.has(key)) {
             keys.problem(other, "sun says already where it stands; keep place and time, or sun");
