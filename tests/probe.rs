@@ -172,12 +172,15 @@ fn irradiance_without_sun(panorama: &Panorama, sun: Option<DVec3>) -> f64 {
 ///
 /// Indoors the ball's panorama is not the map's: near walls and lamps stand elsewhere, and the map's own noise is
 /// 5 % (README of the truth); the bracket's lamps are clipped there, and its light is a lower bound.
+///
+/// Directions are as good as the rim is, which is told to 0.11°: a bracket's fit moves by a quarter of a pixel
+/// (0.1°) with a thousandth in its exposures.
 #[test]
 fn directions_and_light_by_ball() {
     for (name, rms_deg, of_map, of_bracket) in [
-        ("outdoor-sun", 0.13, 0.01, Some(0.01)),
-        ("overcast-soft", 0.1, 0.01, Some(0.01)),
-        ("indoor-window", 0.1, 0.05, None),
+        ("outdoor-sun", [0.13, 0.13], 0.01, Some(0.01)),
+        ("overcast-soft", [0.1, 0.13], 0.01, Some(0.01)),
+        ("indoor-window", [0.1, 0.1], 0.05, None),
     ] {
         let Some(scene) = scene(name) else { return };
         let sun = &scene.truth["sun"]["direction"];
@@ -185,7 +188,8 @@ fn directions_and_light_by_ball() {
         let env = Panorama::from_radiance(scene.picture("env_latlong.exr"));
         let map = irradiance_without_sun(&env, sun);
         let mut light = Vec::new();
-        for (what, radiance) in [("noise-free", scene.noise_free()), ("bracket", scene.bracket())] {
+        let pictures = [("noise-free", scene.noise_free()), ("bracket", scene.bracket())];
+        for ((what, radiance), rms_deg) in pictures.into_iter().zip(rms_deg) {
             let found = find(&radiance.mean, &scene.camera.lens, &Hints::default()).unwrap();
             let rms = direction_rms_deg(&scene, &found);
             let up = irradiance_without_sun(&scene.unwrap(&radiance, &found), sun);
