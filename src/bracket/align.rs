@@ -165,10 +165,10 @@ impl<'a> Pair<'a> {
         (self.layers[which].own_root(x, y) * self.scales[which]).min(1.0)
     }
 
-    /// A square of `side` values from `corner`, each the mean of 3 × 3 pixels at most of the `factor`² that
+    /// A square of `side` values from `corner`, each the mean of 4 × 4 pixels at most of the `factor`² that
     /// it stands for.
     fn square(&self, which: usize, corner: (i64, i64), side: usize, factor: usize) -> Vec<f32> {
-        let taps = factor.min(3);
+        let taps = factor.min(4);
         let place = |k: usize| ((2 * k + 1) * factor / (2 * taps)) as i64;
         let row = |j: usize| {
             (0..side).map(move |i| {

@@ -189,7 +189,7 @@ impl SkyPatch {
         let places = near_edge.filter_map(|sample| {
             let brightness = f64::from(luminance(sample.radiance));
             let free = self.rays().map(|offset| sees(sample, offset)).collect();
-            (brightness > 0.0).then(|| Place { sample: *sample, brightness, free })
+            (brightness > 0.0).then_some(Place { sample: *sample, brightness, free })
         });
         places.collect()
     }
